@@ -766,6 +766,20 @@ def ask(folder: Path, truth: dict, seconds: float) -> str:
     return f"{what}, {truth['cpu']:.0f} CPU s, {time.perf_counter() - start:.0f} s"
 
 
+def as_modes(simulation: dict, count: int) -> dict:
+    """The simulation as its lowest modes that vibrate, at all degrees of freedom; rigid bodies as a residual term."""
+    M, C, K = (np.asarray(simulation[key]) for key in ("M", "C", "K"))
+    values, shapes = scipy.linalg.eigh(K, M)
+    rigid = values < 1e-9 * values[-1]
+    some = np.flatnonzero(~rigid)[:count]
+    w, phi, free = np.sqrt(values[some]), shapes[:, some], shapes[:, rigid]
+    return {
+        "frequency_hz": w / 2 / np.pi, "damping_ratio": np.einsum("nk,nm,mk->k", phi, C, phi) / 2 / w,
+        "shapes": phi.T, "modal_mass": np.ones(len(some)), "lower": free @ free.T,
+        "outputs": simulation["dofs"], "inputs": simulation["dofs"],
+    }  # fmt: skip
+
+
 def main() -> None:
     """Draw, ask, tell."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -783,6 +797,9 @@ def main() -> None:
     parser.add_argument("--levels", action="store_true", help="three force levels for every effect")
     parser.add_argument("--case", default="", help="STRUCTURE-EFFECT or STRUCTURE-EFFECT+EFFECT,... instead of all")
     parser.add_argument("--name", default="", help="added to the names of the cases")
+    parser.add_argument(
+        "--modes", type=int, default=0, help="the simulation is given as so many modes, not as matrices"
+    )
     parser.add_argument("--time", type=float, default=600.0)
     args = parser.parse_args()
     how = {k: getattr(args, k) for k in ("spread", "sensors", "inputs", "lines", "skip", "times", "variance", "levels")}
@@ -799,7 +816,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         data, simulation, truth = draw(structure, effect, args.seed, how)
         np.savez(folder / "measurement.npz", **data)
-        np.savez(folder / "simulation.npz", **simulation)
+        np.savez(folder / "simulation.npz", **as_modes(simulation, args.modes) if args.modes else simulation)
         print(folder.name, ask(folder, truth, args.time), flush=True)
     tell(args.out)
 

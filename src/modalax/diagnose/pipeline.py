@@ -67,6 +67,7 @@ from modalax.diagnose.modal_domain.claimed_modes import ClaimCompared, compared
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.modes.measured import Measured
 from modalax.diagnose.modal_domain.stage import identified
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, modes_only
 from modalax.diagnose.modal_domain.table import by_table
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.routes import (
@@ -99,10 +100,7 @@ from modalax.model.receptance import dof_names
 FIRST_SHARE = 0.6  # of the time for a search line by line that the modal domain or a free joint may have to follow
 FITTED_EACH = 30  # places at each of which every law is fitted to the force; more are screened together
 NAMED_SHARE = 0.85  # of the time for what is in the catalogue, before what is not is looked at
-MODES_ALONE = (
-    "the simulation is given as modes, of which neither its elements nor what further modes add can be told: where its "
-    "matrices are known, give these, with which it may be off everywhere"
-)
+MODES_ALONE = "the simulation is given as modes, which tell of no elements: where its matrices are known, give these"
 
 
 @one_thread
@@ -304,14 +302,13 @@ def in_modal_domain(
     late: Deadline, progress: Callable[[str], None], measured: Measured | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
     """Diagnose by the modes of the measurement; None where there is no mode to compare."""
-    slugs = None if causes is None else {c.slug for c in causes}
-    if not isinstance(simulation, Structure):
+    asked = None if causes is None else {c.slug for c in causes}
+    modes = modes_only(simulation) if isinstance(simulation, ModalModel) else simulation
+    if not isinstance(modes, Structure | ModesOnly):
         return None
+    wanted = (lambda _: True) if asked is None else asked.__contains__
     try:
-        return diagnose_modes(
-            measurement, simulation, late=late, wanted=lambda s: slugs is None or s in slugs, tell=progress,
-            measured=measured,
-        )  # fmt: skip
+        return diagnose_modes(measurement, modes, late=late, wanted=wanted, tell=progress, measured=measured)
     except (np.linalg.LinAlgError, ValueError) as error:  # line by line says what is wrong with the data
         progress(f"modes could not be compared: {error}")
         return None

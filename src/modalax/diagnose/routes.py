@@ -20,10 +20,11 @@ from modalax.diagnose.modal_domain.fitting.throughout import only_scaled
 from modalax.diagnose.modal_domain.judged import standing_out
 from modalax.diagnose.modal_domain.modes.measured import prepared
 from modalax.diagnose.modal_domain.stage import KNOWN
+from modalax.diagnose.modal_domain.structure.modes_only import modes_only
 from modalax.diagnose.result import Diagnosis
 from modalax.diagnose.search.named_before import NamedCause
 from modalax.diagnose.thresholds import THRESHOLDS
-from modalax.model import Structure
+from modalax.model import ModalModel, Structure
 
 RANKED = 1000  # DoFs up to which a rank is read; larger models are never asked about line by line for long
 GROUP_SLUGS = {c.slug for c in GROUPS}
@@ -31,6 +32,8 @@ GROUP_SLUGS = {c.slug for c in GROUPS}
 
 def task_of(measurement: Measurement, simulation: object, question: str, causes: Sequence[Cause] | None = None) -> Task:
     """What the choice of the method depends on; ``causes`` are those to look for, None for the whole catalogue."""
+    if isinstance(simulation, ModalModel):
+        return _task_of_modes(measurement, simulation, question, causes)
     if not isinstance(simulation, Structure):
         return Task(has_modes=False)
     known = {*measurement.outputs, *measurement.inputs} <= set(simulation.dofs)
@@ -44,6 +47,22 @@ def task_of(measurement: Measurement, simulation: object, question: str, causes:
         simulation.groups is not None and (causes is None or any(isinstance(c, GroupCause) for c in causes)),
         causes is None or all(c.slug in KNOWN or isinstance(c, GroupCause) for c in causes),
         bool(np.linalg.matrix_rank(np.asarray(simulation.M)) < count) if count <= RANKED else False,
+    )  # fmt: skip
+
+
+def _task_of_modes(
+    measurement: Measurement, simulation: ModalModel, question: str, causes: Sequence[Cause] | None
+) -> Task:  # fmt: skip
+    """The same of a modal model, which may be a measured one: its residual terms tell."""
+    fitted = bool(np.any(np.asarray(simulation.upper)) or np.any(np.asarray(simulation.lower)))
+    alone = modes_only(simulation) if question == "fixed" or question == "auto" and not fitted else None
+    if alone is None or not {*measurement.outputs, *measurement.inputs} <= set(alone.dofs):
+        return Task(has_modes=False)
+    count = len(alone.dofs)
+    return Task(
+        count > 1, count * (count + 1) / 2, 2 * measurement.H.size,
+        modes_off=bool(np.any(alone.frequency_std) or np.any(alone.damping_std)), whole_catalogue=causes is None,
+        known_to_modes=causes is None or all(c.slug in KNOWN for c in causes), modes_alone=True,
     )  # fmt: skip
 
 

@@ -43,6 +43,8 @@ class Task:
         Whether the measured modes show that its elements are off, where the author claims an inaccuracy of modes.
     undamped
         Whether the simulation has no damping of its own, which line by line would be taken as exact.
+    modes_alone
+        Whether the simulation is given as modes, which end at some mode: lines are never explained to the last.
     """
 
     has_modes: bool
@@ -56,6 +58,7 @@ class Task:
     massless: bool = False
     elements_show: bool = False
     undamped: bool = False
+    modes_alone: bool = False
 
 
 @dataclass(frozen=True)
@@ -174,6 +177,8 @@ def suffices(route: Route, found: Outcome, task: Task) -> bool:
     if route == "lines":
         return explained(found)
     if task.massless or found.askew or task.undamped and found.verdict != "unknown":
+        return True
+    if task.modes_alone and found.verdict != "unknown" and (certainly_off(found) or dampings_off(found)):
         return True
     if found.of_elements and surely_named(found):  # lines have no such cause, and would find nothing beside it
         return True

@@ -23,16 +23,21 @@ from modalax.diagnose.modal_domain.levels.laws import NAMED
 from modalax.diagnose.modal_domain.on_lines.polish import frf_on_lines
 from modalax.diagnose.modal_domain.records.forced import Forced
 from modalax.diagnose.modal_domain.stage import Stage
+from modalax.diagnose.modal_domain.structure.coordinates import modes_of
 from modalax.diagnose.modal_domain.structure.many_lines import receptance
-from modalax.model import Structure
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly
+from modalax.model import ModalModel, Structure
 
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
 CONSISTENT = 3.0  # nats of log evidence by which an inaccuracy must be better than none to exclude none
+SEEN = 1e-9  # size of a shape, relative to the largest, from which a mode is seen
 NONE = 1e-5  # relative size that counts as no inaccuracy
 
 
-def corrected(stage: Stage, f: Fit) -> Structure:
+def corrected(stage: Stage, f: Fit) -> Structure | ModalModel:
     """The simulation corrected for the inaccuracy of a fit, whole elements that are off, and damping along."""
+    if isinstance(stage.simulation, ModesOnly):
+        return _corrected_modes(stage, stage.simulation, f)
     whole = tuple(c for c in f.causes if c.in_structure)
     u = [v for c, v in with_sizes(f.causes, f.u) if c.in_structure]
     s, sizes = stage.simulation, f.sizes
@@ -53,6 +58,31 @@ def corrected(stage: Stage, f: Fit) -> Structure:
     change["C"] = change["C"] + along
     back = {key: left @ value @ left.T for key, value in change.items()}
     return s.replace(M=M + back["M"], C=C + back["C"], K=K + back["K"])
+
+
+def _corrected_modes(stage: Stage, simulation: ModesOnly, f: Fit) -> ModalModel:
+    """Modes alone, corrected: those of their changed modal matrices."""
+    c = stage.coordinates
+    change = off_by(stage.setting, f.sizes, f.causes, f.u)
+    for cause, value in with_sizes(f.causes, f.u):
+        if cause.in_structure and cause.local:
+            for kind, part in cause.changes(value).items():
+                change[kind] = change[kind] + part
+    m = modes_of(c, change["M"], change["C"], change["K"])
+    high, squares = m.high
+    poles = np.concatenate([m.poles, 1j * np.sqrt(squares) - 0.5 * np.einsum("kn,nm,km->k", high, c.damping, high)])
+    shapes = np.vstack([m.vectors, high / np.sqrt(2j * poles.imag[len(m.poles) :])[:, None]]) @ c.shapes.T
+    seen = np.abs(shapes).max(axis=1) > SEEN * np.abs(shapes).max()
+    rigid = m.low[0][m.low[1] < (RIGID * c.frequencies[-1]) ** 2] @ c.shapes.T
+    return ModalModel(
+        poles[seen], shapes[seen], shapes[seen], outputs=simulation.dofs, inputs=simulation.dofs,
+        lower=rigid.T @ rigid,
+    )  # fmt: skip
+
+
+def _modes(base: Structure | ModalModel) -> int:
+    """How many modes a simulation has."""
+    return len(base.poles) if isinstance(base, ModalModel) else len(base.dofs)
 
 
 def _of_group(setting: Setting, name: str) -> np.ndarray:
@@ -169,7 +199,7 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         if c.in_structure or c.slug not in known or c == spring:
             continue
         m = stage.measurement
-        names = base.dofs if c.local else (m.inputs if c.at_inputs else m.outputs)
+        names = stage.simulation.dofs if c.local else (m.inputs if c.at_inputs else m.outputs)
         index = [names.index(str(w)) for w in c.where] + [-1, -1]
         index[0] = index[0] if c.first_index is None else c.first_index
         values, errors, extra = c.as_catalogue(u, covariance)
@@ -180,7 +210,7 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         extras.append(None if extra is None else jnp.asarray(extra))
     joint = None if stage.seen is None else stage.seen.joint
     if joint is not None and joint.fit.law in NAMED:
-        index = [base.dofs.index(w) for w in joint.spot.where] + [-1]
+        index = [stage.simulation.dofs.index(w) for w in joint.spot.where] + [-1]
         law = joint.fit if stage.whole is None else stage.whole.fit
         causes.append(law.law)
         places.append(Place(joint.spot.where, (index[0], index[1], 0)))
@@ -188,6 +218,6 @@ def extension_of(stage: Stage, f: Fit, forced: Forced | None = None) -> Extended
         spread.append(jnp.asarray(law.std))
         extras.append(None)
     return ExtendedSimulation(
-        base, tuple(params), tuple(spread), jnp.zeros((2, len(base.dofs))), tuple(extras), tuple(causes),
+        base, tuple(params), tuple(spread), jnp.zeros((2, _modes(base))), tuple(extras), tuple(causes),
         tuple(places), stage.measurement.outputs, stage.measurement.inputs, float(stage.measured.freq[0]),
     )  # fmt: skip

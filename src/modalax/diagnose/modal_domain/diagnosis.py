@@ -33,11 +33,15 @@ from modalax.diagnose.modal_domain.records.short_records import short_record
 from modalax.diagnose.modal_domain.records.swept import fast_sweep
 from modalax.diagnose.modal_domain.stage import Stage, identified, posed, run_stage
 from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
 from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.identify.shared_noise import shared_notes
-from modalax.model import Structure
 
+OF_MODES = (
+    "the simulation is given as modes: what modes above its last add to each FRF is taken from the measurement, and a "
+    "change of one of its elements is told as general inaccuracy, or as the spring or mass that comes nearest to it"
+)
 ROUNDS = 3  # most in which a force, and the structure without it, are looked for
 
 
@@ -45,14 +49,14 @@ ROUNDS = 3  # most in which a force, and the structure without it, are looked fo
 class _Task:
     """What measurements are compared with, until when, which causes are wanted, and who is told each step."""
 
-    simulation: Structure
+    simulation: Simulation
     late: Deadline
     wanted: Callable[[str], bool]
     tell: Callable[[str], None]
 
 
 def diagnose_modes(
-    measurement: Measurement, simulation: Structure, *, late: Deadline | None = None,
+    measurement: Measurement, simulation: Simulation, *, late: Deadline | None = None,
     wanted: Callable[[str], bool] = lambda _: True, tell: Callable[[str], None] = lambda _: None,
     measured: Measured | None = None,
 ) -> ModalDiagnosis | None:  # fmt: skip
@@ -84,7 +88,8 @@ def _asked(measurement: Measurement, task: _Task, measured: Measured | None) -> 
     if moved_there is not None:
         return moved_there
     found = _beside_own_peaks(measurement, task, measured) or plain or _diagnosed(measurement, task, measured=measured)
-    if found is None or late() or found.after.p_value > THRESHOLDS.left_by_modes:
+    alone = isinstance(task.simulation, ModesOnly)  # which end at some mode: lines are never explained to the last
+    if found is None or late() or alone or found.after.p_value > THRESHOLDS.left_by_modes:
         return found
     if found.verdict in ("clean", "named") and found.gain.chi2_unforeseen < THRESHOLDS.as_noise:
         return found  # it foretells what it was not fitted to: a force would stand for errors that no element holds
@@ -116,7 +121,7 @@ def _short_record(measurement: Measurement, task: _Task) -> Forced | None:
 
 def _beside_own_peaks(measurement: Measurement, task: _Task, measured: Measured) -> ModalDiagnosis | None:
     """The diagnosis beside the mass of one sensor, where its output has peaks of its own and a mass explains them."""
-    if not task.wanted("sensor_mass"):
+    if not task.wanted("sensor_mass") or isinstance(task.simulation, ModesOnly):  # whose coordinates are the channels'
         return None
     which = own_peaks(measured, len(measurement.outputs), len(measurement.inputs))
     if which is None:
@@ -157,7 +162,8 @@ def _elsewhere(
     other = _diagnosed(measurement, task, measured=measured)
     told = other if other is not None and other.verdict in ("named", "ambiguous") else None
     in_turn = any(at in places for at in places.values())  # sensors in each other's place may be an exchange
-    named = told is not None and told.verdict == "named" and told.after.p_value > THRESHOLDS.left_by_modes
+    exact = told is not None and (isinstance(simulation, ModesOnly) or told.after.p_value > THRESHOLDS.left_by_modes)
+    named = told is not None and told.verdict == "named" and exact
     if task.late() or in_turn and named:
         return None, other
     task.tell(f"looking whether {' and '.join(f'{name} is at {at}' for name, at in places.items())}")
@@ -251,6 +257,7 @@ def _diagnosed(
     if hum is not None:
         word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")
     notes = (
+        *([OF_MODES] if isinstance(task.simulation, ModesOnly) else []),
         stage.measured.noise.source,
         f"{len(stage.measured.features.poles)} modes were identified in the band from "
         f"{len(stage.measured.runs)} of {len(H)} runs, chi-square per sample {stage.measured.misfit:.3g}",

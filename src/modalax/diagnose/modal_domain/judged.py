@@ -19,7 +19,7 @@ from modalax.diagnose.modal_domain.causes.line_forces import EvenCoupling, SkewC
 from modalax.diagnose.modal_domain.causes.supports import SensorMasses
 from modalax.diagnose.modal_domain.fitting.explanation import Explanation
 from modalax.diagnose.modal_domain.fitting.fit import by_data, fit, without_causes
-from modalax.diagnose.modal_domain.fitting.inaccuracy import TOLD, WITHIN, claims_of
+from modalax.diagnose.modal_domain.fitting.inaccuracy import TOLD, USUAL, WITHIN, claims_of
 from modalax.diagnose.modal_domain.fitting.linear import LARGEST
 from modalax.diagnose.modal_domain.fitting.throughout import nats_over_a_factor
 from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
@@ -30,6 +30,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 
 NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one
 ONE_SIDED = 0.5  # symmetric over skew part of a coupling that is none: between 0, of a skew one, and 1, of one-way
+GAINS = "channel_gain", "force_gain"
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
 
@@ -229,9 +230,13 @@ def needs(stage: Stage, e: Explanation, small: tuple[Change, ...]) -> bool:
 def told_by_size(stage: Stage, e: Explanation) -> tuple[tuple[Change, ...], tuple[Change, ...]]:
     """Causes of an explanation that are surely not zero: those larger than is usual, and the others."""
     off, highest = inaccuracy_of_fit(stage, e), float(stage.measured.freq[-1])
-    out, small = [], []
+    alone, out, small = stage.setting.inaccuracy.between_modes, [], []
+    if alone:  # a single element, of which modes do not tell, is off by more than modes, which have many
+        off = {name: max(size, USUAL[name]) for name, size in off.items()}
     for k, (c, u) in enumerate(with_sizes(e.causes, e.fit.u)):
         size, usual = c.size(u), usual_size(c.slug, c.whole, off, highest)
+        if c.slug in GAINS and alone:  # shapes at a DoF are off by as much as elements
+            usual = max(usual, THRESHOLDS.beyond * off["stiffness"])
         if c.slug == "modal_damping":  # a factor, as the general inaccuracy of damping is
             size = float(np.log(max(1 + size, 1e-9)))
         own = own_sizes(e.causes, k)

@@ -13,7 +13,7 @@ from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.causes.channel_faults import leaking_channels
 from modalax.diagnose.modal_domain.causes.further_causes import StructuralDamping, missing_modes, tuned_masses
 from modalax.diagnose.modal_domain.causes.impact_window import impact_windows
-from modalax.diagnose.modal_domain.causes.places import candidates_of, springs_of
+from modalax.diagnose.modal_domain.causes.places import FEW, candidates_of, springs_of
 from modalax.diagnose.modal_domain.causes.sensor_filters import sensor_filters
 from modalax.diagnose.modal_domain.fitting.explanation import Explanation, Prior
 from modalax.diagnose.modal_domain.fitting.fit import Fit, Found
@@ -29,13 +29,15 @@ from modalax.diagnose.modal_domain.modes.measured import Measured, identify, tol
 from modalax.diagnose.modal_domain.odd_channels.askew import askew_channel
 from modalax.diagnose.modal_domain.odd_channels.odd_channel import is_of_the_structure, odd_channel
 from modalax.diagnose.modal_domain.on_lines.damping_on_lines import damping_by_lines
+from modalax.diagnose.modal_domain.on_lines.further_modes import with_further_modes
 from modalax.diagnose.modal_domain.on_lines.polish import leading_on_lines
 from modalax.diagnose.modal_domain.search.beside_modes import shortage
 from modalax.diagnose.modal_domain.search.explain import explain
 from modalax.diagnose.modal_domain.search.force_places import KINDS, line_forces
 from modalax.diagnose.modal_domain.search.lacking_modes import lacking_modes
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, coordinates_of, is_large
-from modalax.diagnose.modal_domain.structure.turns import nodes_in
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
+from modalax.diagnose.modal_domain.structure.turns import nodes_at
 from modalax.diagnose.thresholds import THRESHOLDS
 from modalax.model import Structure
 
@@ -77,7 +79,7 @@ class Stage:
     """
 
     measurement: Any
-    simulation: Structure
+    simulation: Simulation
     coordinates: Coordinates
     measured: Any
     setting: Setting
@@ -100,7 +102,7 @@ class Stage:
 
 
 def further_of(
-    simulation: Structure, c: Coordinates, measured: Measured, outputs: tuple[str, ...]
+    simulation: Simulation, c: Coordinates, measured: Measured, outputs: tuple[str, ...]
 ) -> list[Change]:  # fmt: skip
     """Causes that only lines, and not a table of modes, are asked about.
 
@@ -118,7 +120,7 @@ def further_of(
     return found
 
 
-def identified(measurement: Measurement, simulation: Structure, tell: Callable[[str], None]) -> Measured:
+def identified(measurement: Measurement, simulation: Simulation, tell: Callable[[str], None]) -> Measured:
     """The measurement's own modes."""
     tell("identifying the measurement's own modes")
     highest = 2 * np.pi * float(measurement.freq[-1])
@@ -146,7 +148,7 @@ class Posed:
 
 
 def posed(
-    measurement: Measurement, simulation: Structure, measured: Measured, exact: tuple[str, ...] = (),
+    measurement: Measurement, simulation: Simulation, measured: Measured, exact: tuple[str, ...] = (),
     errors: np.ndarray | None = None,
 ) -> Posed:  # fmt: skip
     """What modes that were identified are compared with; a large simulation as :func:`coordinates_of` makes it."""
@@ -156,17 +158,20 @@ def posed(
     setting = Setting(c, inaccuracy_of(simulation, c, highest), measured.features, whitener)
     if simulation.groups is None:  # all of the mass and stiffness is, where there is one force, its constant as well
         sought = ("stiffness", "mass") if len(measurement.inputs) > 1 else ("stiffness",)
-        setting = replace(setting, sought=sought, uneven=simulation.elements is None)
+        setting = replace(
+            setting, sought=sought, uneven=isinstance(simulation, Structure) and simulation.elements is None
+        )
     pairs = None if simulation.pairs is None else list(simulation.pairs)
     every = candidates_of(simulation, c, measurement.outputs, measurement.inputs, pairs, highest)
     every += further_of(simulation, c, measured, measurement.outputs)
-    places = springs_of(simulation, c, nodes_in(simulation.dofs, np.asarray(simulation.K)), pairs, highest)
+    anywhere = simulation.dofs if isinstance(simulation, ModesOnly) and len(simulation.dofs) <= FEW else ()
+    places = springs_of(simulation, c, nodes_at(simulation), pairs, highest, anywhere)
     low, high = (float(abs(measured.channels.s[k])) for k in (0, -1))
     forces = line_forces(c, simulation.dofs, measurement.outputs, measurement.inputs, places, low, high)
     return Posed(c, setting, [*every, *forces], places)
 
 
-def _forces(simulation: Structure, setting: Setting, f: Fit) -> np.ndarray:
+def _forces(simulation: Simulation, setting: Setting, f: Fit) -> np.ndarray:
     """Forces of the errors of single elements in the modes of a fit that are near the measured ones, ``(n, r)``."""
     a, (shapes, squares, _) = setting.inaccuracy, f.state.modes.low
     single = f.sizes[: len(a.group_of)]  # before those of groups that the data have asked for
@@ -195,12 +200,16 @@ class _Early:
 
 def _spots(tasks: list[Posed], setting: Setting) -> list[Spot]:
     """Where a joint may be, in the coordinates of a setting."""
-    task = next(t for t in tasks if t.coordinates is setting.coordinates)
+    task = next(t for t in tasks if t.coordinates.shapes is setting.coordinates.shapes)
     return [Spot(where, b, w, held) for where, b, _, w, held in task.places]
 
 
 def _odd(
-    measurement: Measurement, simulation: Structure, setting: Setting, explanations: list[Explanation], late: Deadline
+    measurement: Measurement,
+    simulation: Simulation,
+    setting: Setting,
+    explanations: list[Explanation],
+    late: Deadline,
 ) -> OddChannel | None:
     """A channel that differs from all others as no cause explains, where the structure does not."""
     if is_of_the_structure(explanations, setting.features):
@@ -212,7 +221,7 @@ def _odd(
 
 
 def _lacking(
-    measurement: Measurement, simulation: Structure, measured: Measured, wanted: Callable[[str], bool], several: bool,
+    measurement: Measurement, simulation: Simulation, measured: Measured, wanted: Callable[[str], bool], several: bool,
 ) -> tuple[Measured, Posed, Found] | None:  # fmt: skip
     """What is compared where modes surely are none of the simulation's, one of two close ones or ``several``; and fits.
 
@@ -227,7 +236,7 @@ def _lacking(
 
 
 def run_stage(
-    measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
+    measurement: Measurement, simulation: Simulation, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None], measured: Measured | None = None,
 ) -> Stage | None:  # fmt: skip
     """Diagnose a measurement in the modal domain; None where it shows no mode to compare.
@@ -257,7 +266,7 @@ def run_stage(
 
 
 def _searched(
-    measurement: Measurement, simulation: Structure, late: Deadline, wanted: Callable[[str], bool],
+    measurement: Measurement, simulation: Simulation, late: Deadline, wanted: Callable[[str], bool],
     tell: Callable[[str], None], measured: Measured, task: Posed, known: Found | None,
 ) -> Stage | None:  # fmt: skip
     """What explains the modes, ``known`` fits to begin with; None where nothing can be compared with them."""
@@ -281,6 +290,8 @@ def _searched(
     setting, candidates, explanations = explain(task.setting, candidates, first, tell, *also, known)
     if not explanations:
         return None
+    if isinstance(simulation, ModesOnly):
+        setting = with_further_modes(setting, explanations[0].fit, measured)
     c, odd, seen = setting.coordinates, None, None
     if not early.seen:
         explanations = damping_by_lines(setting, explanations, measured, late)

@@ -299,7 +299,7 @@ def test_a_cause_that_its_error_lets_be_none_does_not_stand_out(slug, size, std,
     fitted = SimpleNamespace(causes=(cause,), u=np.array([size]), covariance=np.array([[std**2]]), epsilon=[0.01] * 3)
     stage = SimpleNamespace(
         measured=SimpleNamespace(freq=np.array([1.0, 100.0])),
-        setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD)),
+        setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD, between_modes=False)),
         seen=None, explanations=[Explanation(SimpleNamespace(causes=()), -behind, 0.5)],
     )  # fmt: skip
     assert (standing_out(stage, Explanation(fitted, 0.0, 1.0)) == (cause,)) == stands
@@ -314,7 +314,7 @@ def test_a_spring_at_the_place_of_a_named_joint_is_that_joints_own():
     def stands(joint):
         stage = SimpleNamespace(
             measured=SimpleNamespace(freq=np.array([1.0, 100.0])),
-            setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD)),
+            setting=SimpleNamespace(inaccuracy=SimpleNamespace(groups=TOLD, between_modes=False)),
             seen=SimpleNamespace(joint=SimpleNamespace(spot=SimpleNamespace(where=joint))),
         )
         return standing_out(stage, Explanation(fitted, 0.0, 1.0)) == (cause,)

@@ -9,6 +9,7 @@ import numpy as np
 from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
+from modalax.diagnose.modal_domain.structure.modes_only import Simulation
 from modalax.diagnose.modal_domain.structure.nodes import Nodes, nodes_of
 from modalax.diagnose.modal_domain.structure.parts import ends_of, planes_of
 from modalax.model import Structure
@@ -78,7 +79,7 @@ def springs_within(simulation: Structure, nodes: Nodes) -> dict[frozenset[int], 
     return out
 
 
-def softened_elements(simulation: Structure, c: Coordinates, usual: float) -> list[Change]:
+def softened_elements(simulation: Simulation, c: Coordinates, usual: float) -> list[Change]:
     """Whole elements softer or stiffer, and each plane in which one bends by itself.
 
     ``usual`` is the relative error of one that is wrong. The strength is the change of the stiffness between the two

@@ -8,7 +8,7 @@ import numpy as np
 from modalax.diagnose.causes.groups import ElementGroup, ElementGroupMass
 from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
-from modalax.model import Structure
+from modalax.diagnose.modal_domain.structure.modes_only import Simulation
 from modalax.model.elements import factor_of
 
 SAME = 1 - 1e-9  # cosine between the changes of two causes from which they are one
@@ -39,7 +39,7 @@ class GroupFactor(Change):
         return {cause.parameters[0].name: {"value": 1 + self.size(u), "std": std, "unit": "-"}}
 
 
-def group_factors(simulation: Structure, c: Coordinates, chance: float = 1.0) -> list[Change]:
+def group_factors(simulation: Simulation, c: Coordinates, chance: float = 1.0) -> list[Change]:
     """Stiffness and mass of each group that the simulation names, each with a chance of its own before the data.
 
     A group is about as likely to be wrong as an element by itself.

@@ -14,10 +14,10 @@ from modalax.diagnose.modal_domain.causes.groups import group_factors, other_tha
 from modalax.diagnose.modal_domain.causes.supports import sensor_masses, supports_together
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
 from modalax.diagnose.modal_domain.structure.nodes import Nodes, nodes_of
 from modalax.diagnose.modal_domain.structure.parts import ends_of, parts_of, planes_of
-from modalax.diagnose.modal_domain.structure.turns import nodes_in
-from modalax.model import Structure
+from modalax.diagnose.modal_domain.structure.turns import nodes_at
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
 LUMP = 0.3  # usual lumped mass, relative to the modal masses seen from its place
@@ -37,16 +37,16 @@ UNLIKELY = 0.05  # weight of a pair of unlike directions, or of a rotation's ine
 
 
 def candidates_of(
-    simulation: Structure, c: Coordinates, outputs: tuple[str, ...], inputs: tuple[str, ...],
+    simulation: Simulation, c: Coordinates, outputs: tuple[str, ...], inputs: tuple[str, ...],
     pairs: list[tuple[str, str]] | None, highest: float,
 ) -> list[Change]:  # fmt: skip
     """Causes at their places."""
-    dofs, nodes = simulation.dofs, nodes_in(simulation.dofs, np.asarray(simulation.K))
+    dofs, nodes = simulation.dofs, nodes_at(simulation)
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
     if not len(inside):
         inside = np.arange(min(3, c.size))
     out = []
-    own, own_mass, turns = np.diag(c.damping)[inside], _own_mass(simulation), nodes.axis > 2
+    own, own_mass, turns = np.diag(c.damping)[inside], _own_mass(simulation, c, inside), nodes.axis > 2
     typical = _typical((c.shapes[:, inside] ** 2).mean(axis=1), turns)
     for k, name in enumerate(dofs):
         b = c.shapes[k]
@@ -87,19 +87,22 @@ def _typical(mobile: np.ndarray, turns: np.ndarray) -> np.ndarray:
     return np.where(turns, medians[1], medians[0])
 
 
-def _own_mass(simulation: Structure) -> np.ndarray:
-    """Mass that the simulation has at each DoF."""
+def _own_mass(simulation: Simulation, c: Coordinates, inside: np.ndarray) -> np.ndarray:
+    """Mass that the simulation has at each DoF; of modes alone the least modal mass as seen from there."""
+    if isinstance(simulation, ModesOnly):
+        return 1 / np.maximum((c.shapes[:, inside] ** 2).max(axis=1), 1e-300)
     return np.diag(np.asarray(simulation.M))
 
 
-def _lumps(simulation: Structure, c: Coordinates, inside: np.ndarray) -> list[Change]:
+def _lumps(simulation: Simulation, c: Coordinates, inside: np.ndarray) -> list[Change]:
     """Masses that move with all displacements of a node, each told at the DoF where it moves most.
 
     Also of a node that follows others statically: what is rigidly tied to them may still be heavier.
     """
     nodes, mobile = nodes_of(c.names), (c.everywhere[:, inside] ** 2).mean(axis=1)
-    own = dict(zip(simulation.dofs, _own_mass(simulation).tolist(), strict=True))
+    own = dict(zip(simulation.dofs, _own_mass(simulation, c, inside).tolist(), strict=True))
     typical, out = _typical(mobile, nodes.axis > 2), []
+    each = np.min if isinstance(simulation, ModesOnly) else np.mean
     for node in nodes.members:
         at = node[(nodes.axis[node] >= 0) & (nodes.axis[node] < 3) & (mobile[node] > STILL * mobile.max())]
         if len(at) < 2:
@@ -110,7 +113,7 @@ def _lumps(simulation: Structure, c: Coordinates, inside: np.ndarray) -> list[Ch
         there = [own[c.names[k]] for k in at if c.names[k] in own]
         out.append(
             Change("added_mass", place, usual, pattern=pattern, factor=np.eye(len(c.names))[:, at],
-                   reference=float(np.mean(there or [0.0])))
+                   reference=float(each(there or [0.0])))
         )  # fmt: skip
     return out
 
@@ -133,19 +136,20 @@ def _damped_modes(c: Coordinates, inside: np.ndarray) -> list[Change]:
     return out
 
 
-def _parts(simulation: Structure, nodes: Nodes) -> list[Part]:
-    """Elements that are told, or else those of its stiffness matrix."""
+def _parts(simulation: Simulation, nodes: Nodes) -> list[Part]:
+    """Elements that are told, or else those of its stiffness matrix; none of modes alone."""
+    if isinstance(simulation, ModesOnly):
+        return []
     told = simulation.elements is not None
     return told_parts(simulation, nodes) if told else parts_of(np.asarray(simulation.K), nodes)
 
 
-def _elements(simulation: Structure, c: Coordinates, nodes: Nodes, parts: list[Part]) -> list[Change]:
+def _elements(simulation: Simulation, c: Coordinates, nodes: Nodes, parts: list[Part]) -> list[Change]:
     """Whole elements softer or stiffer, and planes in which they bend; told at the pair of DoFs that they couple most.
 
     An element that holds one node is told at one DoF.
     """
-    K = np.asarray(simulation.K)
-    size = np.sqrt(np.maximum(np.diag(K), 1e-300))
+    size = np.sqrt(np.maximum(_stiffness(simulation), 1e-300))
     out = softened_elements(simulation, c, JOINT)
     ends = flexible_ends(parts, nodes, simulation.dofs, c, JOINT)
     parts = parts if not out else []
@@ -171,7 +175,7 @@ def _elements(simulation: Structure, c: Coordinates, nodes: Nodes, parts: list[P
 
 
 def springs_of(
-    simulation: Structure, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float,
+    simulation: Simulation, c: Coordinates, nodes: Nodes, pairs: list[tuple[str, str]] | None, highest: float,
     apart: Collection[str] = (),
 ) -> list[tuple[tuple[str, ...], np.ndarray, float, float, bool]]:  # fmt: skip
     """Place, direction, usual change of stiffness and weight of springs, and whether the simulation has one there.
@@ -179,15 +183,19 @@ def springs_of(
     Likeliest are the pairs that the simulation names and its own springs and supports, then other coupled DoFs and
     each DoF to ground, and last any two displacements of one direction, of those in ``apart``, that nothing joins.
     Where elements are told they tell where the simulation has springs, and how stiff.
+    Modes alone do not tell whether there is one: it may be anywhere, and is compared with what makes the modes.
     Where the simulation has no spring, as between two points of a plate, its size is compared with what holds the DoFs,
     and the usual one is small enough to move modes by as much as a wrong one does.
     """
     inside = np.flatnonzero((c.frequencies < highest) & (c.frequencies > 0.02 * highest))
-    K, dofs = np.asarray(simulation.K), simulation.dofs
+    dofs, size = simulation.dofs, _stiffness(simulation)
     asked = {frozenset(dofs.index(name) for name in p) for p in pairs or () if set(p) <= set(dofs)}
     parts = _parts(simulation, nodes)
-    if simulation.elements is None:
-        within = read_within(K, parts, asked)
+    anywhere = isinstance(simulation, ModesOnly)
+    if isinstance(simulation, ModesOnly):
+        within: dict[frozenset[int], float] = {}
+    elif simulation.elements is None:
+        within = read_within(np.asarray(simulation.K), parts, asked)
     else:
         within = springs_within(simulation, nodes)
         joined = _joined(parts, nodes)
@@ -202,13 +210,14 @@ def springs_of(
         alike = nodes.axis[a] == nodes.axis[b]
         if key == "coupled" and not alike:
             continue
-        if key == "apart" and not (alike and nodes.axis[a] < 3 and dofs[a] in apart and dofs[b] in apart):
+        free = nodes.axis[a] < 3 or anywhere  # what bends between two nodes shows as a spring between their rotations
+        if key == "apart" and not (alike and free and dofs[a] in apart and dofs[b] in apart):
             continue
-        stiffness = within[pair] if pair in within else float(min(K[a, a], K[b, b]))
+        stiffness = within[pair] if pair in within else float(min(size[a], size[b]))
         groups[key].append(((dofs[a], dofs[b]), c.shapes[a] - c.shapes[b], JOINT * stiffness, 1.0, pair in within))
     for a, name in enumerate(dofs):
-        supported = held.get(a, 0.0) > SUPPORTED * K[a, a]
-        entry = (name,), c.shapes[a], JOINT * (held[a] if supported else K[a, a])
+        supported = held.get(a, 0.0) > SUPPORTED * size[a]
+        entry = (name,), c.shapes[a], JOINT * (held[a] if supported else size[a])
         likely = UNLIKELY if nodes.axis[a] > 2 else 1.0
         groups["support" if supported else "ground"].append((*entry, likely, supported))
     out = []
@@ -216,8 +225,13 @@ def springs_of(
         total = sum(g[3] for g in group)
         if key in ABSENT:
             group = [(where, b, min(k, JOINT * _felt(c, b, inside)), *rest) for where, b, k, *rest in group]
-        out += [(where, b, float(k), SHARES[key] * w / total, there) for where, b, k, w, there in group]
+        out += [(where, b, float(k), SHARES[key] * w / total, there or anywhere) for where, b, k, w, there in group]
     return out
+
+
+def _stiffness(simulation: Simulation) -> np.ndarray:
+    """What holds each DoF by itself; infinite where the simulation does not tell."""
+    return np.full(len(simulation.dofs), np.inf) if isinstance(simulation, ModesOnly) else np.diag(simulation.K)
 
 
 def read_within(K: np.ndarray, parts: list[Part], asked: set[frozenset[int]]) -> dict[frozenset[int], float]:

@@ -11,8 +11,8 @@ from modalax.diagnose.decision.beyond import Names
 from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
+from modalax.diagnose.modal_domain.structure.modes_only import Simulation
 from modalax.diagnose.modal_domain.structure.nodes import Nodes, nodes_of
-from modalax.model import Structure
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class _Support:
 
 
 def supports_together(
-    simulation: Structure, c: Coordinates, parts: list[Part], nodes: Nodes, usual: float, all_share: float,
+    simulation: Simulation, c: Coordinates, parts: list[Part], nodes: Nodes, usual: float, all_share: float,
     some_share: float,
 ) -> list[Change]:  # fmt: skip
     """Supports off by one factor, as causes: all of them, or some.

@@ -16,12 +16,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from modalax.diagnose.modal_domain.causes.given_elements import mass_patterns, stiffness_patterns
+from modalax.diagnose.modal_domain.fitting.between_modes import RIGID, between_modes
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
 from modalax.diagnose.modal_domain.structure.factored import Factored, factored
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
 from modalax.diagnose.modal_domain.structure.nodes import Nodes
 from modalax.diagnose.modal_domain.structure.parts import apart, coupled_rows, parts_of
-from modalax.diagnose.modal_domain.structure.turns import nodes_in
+from modalax.diagnose.modal_domain.structure.turns import nodes_at
 from modalax.model import Structure
 
 # Sizes where nothing is claimed, and the spread of their logarithms. Frequencies of finite-element models are off by
@@ -30,7 +32,6 @@ from modalax.model import Structure
 USUAL = {"stiffness": 0.01, "mass": 0.005, "damping": 0.3}
 UNKNOWN = 2.0  # standard deviation of the logarithm of a size that nobody claims
 CLAIMED = 0.7  # the same of a size that the author claims, who may be wrong by a factor of two
-RIGID = 1e-3  # frequency, relative to the highest, below which a mode is that of a rigid body
 BETWEEN = 0.1  # damping between modes, relative to that of the modes themselves
 CLOSE = 0.01  # coupling of turned modes, over what their dampings are off by, from which on it has a pattern of its own
 NEGLIGIBLE = 1e-12  # modal damping [1/s] of a mode without any
@@ -65,6 +66,8 @@ class Inaccuracy:
         The patterns of each group by their directions; found where they are not given.
     elements
         Of ``stiffness`` and ``mass``, where a matrix shows elements in pieces, the number of each pattern's element.
+    between_modes
+        Whether stiffness and mass are off as those of no elements: :mod:`.between_modes`.
     """
 
     groups: tuple[str, ...]
@@ -75,6 +78,7 @@ class Inaccuracy:
     positive: np.ndarray
     factors: tuple[Factored, ...] = ()
     elements: Mapping[str, np.ndarray] = field(default_factory=dict)
+    between_modes: bool = False
 
     def __post_init__(self) -> None:
         more = map(factored, self.patterns[len(self.factors) :])
@@ -86,19 +90,14 @@ class Inaccuracy:
         return np.repeat(np.arange(len(self.patterns)), [len(p) for p in self.patterns])
 
 
-def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inaccuracy:
+def inaccuracy_of(simulation: Simulation, c: Coordinates, highest: float) -> Inaccuracy:
     """Patterns of a structure whose band ends at ``highest`` [rad/s]."""
-    M, K = np.asarray(simulation.M), np.asarray(simulation.K)
-    nodes = nodes_in(simulation.dofs, K)
-    stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
     shared = {name: np.zeros((0, c.size, c.size)) for name in WITHIN}
-    elements = {}
-    if stiffness is None:
-        pieces = _pieces(K, nodes, mass=False)
-        (stiffness, shared["stiffness"]), elements["stiffness"] = _patterns(pieces, c), _elements(pieces)
-    if mass is None:
-        pieces = _pieces(M, nodes, mass=True)
-        (mass, shared["mass"]), elements["mass"] = _patterns(pieces, c), _elements(pieces)
+    elements: dict[str, np.ndarray] = {}
+    if isinstance(simulation, ModesOnly):
+        stiffness, mass = between_modes(c, highest)
+    else:
+        stiffness, mass = _of_elements(simulation, c, shared, elements)
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")
@@ -120,11 +119,30 @@ def inaccuracy_of(simulation: Structure, c: Coordinates, highest: float) -> Inac
     every = Inaccuracy(
         (*TOLD, "damping between modes"), patterns, np.append(usual, usual[-1]),
         np.append(np.where(told, CLAIMED, UNKNOWN), UNKNOWN), (*told.tolist(), False), positive, elements=elements,
+        between_modes=isinstance(simulation, ModesOnly),
     )  # fmt: skip
     for name, couplings in shared.items():
         k = TOLD.index(name)
         every = with_group(every, WITHIN[name], couplings, usual[k], every.spread[k], bool(told[k]))
     return every
+
+
+def _of_elements(
+    simulation: Structure, c: Coordinates, shared: dict[str, np.ndarray], elements: dict[str, np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Patterns of stiffness and mass by their elements; what neighbours share, and of which element each is, is added.
+
+    Elements that are told share nothing.
+    """
+    nodes = nodes_at(simulation)
+    stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
+    if stiffness is None:
+        pieces = _pieces(np.asarray(simulation.K), nodes, mass=False)
+        (stiffness, shared["stiffness"]), elements["stiffness"] = _patterns(pieces, c), _elements(pieces)
+    if mass is None:
+        pieces = _pieces(np.asarray(simulation.M), nodes, mass=True)
+        (mass, shared["mass"]), elements["mass"] = _patterns(pieces, c), _elements(pieces)
+    return stiffness, mass
 
 
 def forces_of_errors(
@@ -139,7 +157,7 @@ def forces_of_errors(
     shapes, squares
         Modes over the DoFs that elements know, shape ``(n, r)``, and their squared circular frequencies.
     """
-    told, nodes, out = simulation.elements, nodes_in(simulation.dofs, np.asarray(simulation.K)), np.zeros_like(shapes)
+    told, nodes, out = simulation.elements, nodes_at(simulation), np.zeros_like(shapes)
     for name, matrix, scale in (("stiffness", simulation.K, np.ones_like(squares)), ("mass", simulation.M, -squares)):
         if told is not None:
             F = np.asarray(getattr(told, name))
@@ -189,7 +207,7 @@ def _patterns(parts: list[Part], c: Coordinates) -> tuple[np.ndarray, np.ndarray
     return own, np.array(both).reshape(-1, c.size, c.size)
 
 
-def _claim(simulation: Structure, name: str) -> float:
+def _claim(simulation: Simulation, name: str) -> float:
     value = np.asarray(0.0 if getattr(simulation, name) is None else getattr(simulation, name), float)
     return float(np.sqrt(np.mean(value**2))) if value.size else 0.0
 

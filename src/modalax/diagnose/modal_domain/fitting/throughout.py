@@ -26,6 +26,7 @@ from modalax.diagnose.modal_domain.fitting.fit import Fit, Found, by_data, fit, 
 from modalax.diagnose.modal_domain.fitting.inaccuracy import THROUGHOUT, TOLD, UNKNOWN, USUAL, WITHIN, with_group
 from modalax.diagnose.modal_domain.fitting.linear import root_of_information
 from modalax.diagnose.modal_domain.fitting.state import Setting, slopes_at
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.thresholds import THRESHOLDS
 
 CLEARER = 5.0  # nats of log evidence that each such factor must gain
@@ -171,12 +172,20 @@ def with_groups(setting: Setting, groups: tuple[str, ...]) -> Setting | None:
         name = group.split()[0]
         own = a.patterns[a.groups.index(name)]
         factor = group == THROUGHOUT[name]
-        whole = setting.coordinates.damping if name == "damping" else own.sum(axis=0)
+        whole = _whole(setting.coordinates, name) if name == "damping" or a.between_modes else own.sum(axis=0)
         patterns = whole[None] if factor else _within(own, a.elements.get(name))
         if not 0 < len(patterns) <= MOST:
             return None
         a = with_group(a, group, patterns, (WIDER if factor else 1.0) * USUAL[name], UNKNOWN, positive=factor)
     return replace(setting, inaccuracy=a)
+
+
+def _whole(c: Coordinates, name: str) -> np.ndarray:
+    """All of a matrix in modal coordinates, without the spare one, shape ``(n, n)``."""
+    if name == "damping":
+        return c.damping
+    there = np.arange(c.size) < c.size - c.spares - c.local
+    return np.diag(there * c.frequencies**2 if name == "stiffness" else there)
 
 
 def _within(own: np.ndarray, elements: np.ndarray | None) -> np.ndarray:

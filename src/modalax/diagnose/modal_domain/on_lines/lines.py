@@ -8,6 +8,7 @@ from modalax.diagnose.modal_domain.fitting.state import Setting
 from modalax.diagnose.modal_domain.modes.free_residues import Channels
 
 WORK = 3e9  # products for one set of derivatives; of larger problems every so many lines are taken
+WORK_BETWEEN = 3e8  # the same where modes are off as those of no elements, of which lines tell no more than modes do
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,8 @@ def lines_of(channels: Channels, setting: Setting, left: float = 1.0) -> Lines:
     c = setting.coordinates
     o, i = len(c.outputs), len(c.inputs)
     work = len(setting.inaccuracy.group_of) * c.size * (c.size * min(o, i) + o * i)
-    step = max(1, int(np.ceil(len(channels.s) * work / WORK)))
+    most = WORK_BETWEEN if setting.inaccuracy.between_modes else WORK
+    step = max(1, int(np.ceil(len(channels.s) * work / most)))
     H, weight = (a.reshape(-1, o, i) for a in (channels.data, channels.weight))
     every = Lines(channels.s, H, weight, channels.order, left)
     return every if step == 1 else replace(every, s=every.s[::step], H=H[::step], weight=weight[::step], whole=every)

@@ -128,7 +128,7 @@ def leading_on_lines(
         setting = told_apart(setting, out[0].fit)
         out = [replace(e, fit=beside(setting, e.fit)) for e in out]
     lines = lines_of(measured.channels, setting, measured.misfit)
-    for k, e in enumerate(out[:FEW]):
+    for k, e in enumerate(out[: 1 if setting.inaccuracy.between_modes else FEW]):
         if k and (e.probability < LIKELY or late()):
             break
         again = fit(setting, e.causes, e.fit, e.fit.u, temperatures=()) if apart else None

@@ -26,8 +26,8 @@ from modalax.diagnose.modal_domain.modes.windows import Sweep
 from modalax.diagnose.modal_domain.records.forced import Forced
 from modalax.diagnose.modal_domain.records.short_records import strongest
 from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
+from modalax.diagnose.modal_domain.structure.modes_only import Simulation
 from modalax.diagnose.thresholds import THRESHOLDS
-from modalax.model import Structure
 
 TOGETHER = 2.0  # half-bandwidths of two poles, added, over their distance, from which on they are in one peak
 RATES = np.geomspace(1e-3, 3.0, 20)  # sweep rates that are tried, over the square of the width of a beating peak
@@ -69,7 +69,7 @@ class Swept(Change):
 
 
 def fast_sweep(
-    measurement: Measurement, simulation: Structure, measured: Measured, late: Deadline, tell: Callable[[str], None]
+    measurement: Measurement, simulation: Simulation, measured: Measured, late: Deadline, tell: Callable[[str], None]
 ) -> Forced | None:  # fmt: skip
     """What a sweep too fast for the resonances adds to the FRFs; None where none explains them with fewer modes.
 

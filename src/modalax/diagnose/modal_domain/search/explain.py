@@ -31,6 +31,7 @@ from modalax.diagnose.modal_domain.search.refitted import (
     Finer,
     beside_a_factor,
     beside_the_rest,
+    from_the_simulation,
     in_full,
     made_exact,
     rest_anew,
@@ -235,6 +236,8 @@ def _less_a_mode(setting: Setting, candidates: list[Change]) -> Found:
 
 def _all_steps(search: Search, late: Deadline) -> None:
     """Seek a further cause and other places beside what was fitted first, as long as there is time."""
+    if search.setting.inaccuracy.between_modes:
+        from_the_simulation(search.setting, search.found, search.prior)
     attached(search.setting, search.found, search.candidates, search.prior, late)
     with_losses(search, late)
     several(search, late)

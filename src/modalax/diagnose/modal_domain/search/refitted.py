@@ -30,6 +30,15 @@ LEADING = 3  # explanations about whose places the simulation is made exact
 Finer = Callable[[tuple[str, ...], Fit], tuple[Setting, list[Change]]]
 
 
+def from_the_simulation(setting: Setting, found: Found, prior: Prior) -> None:
+    """Fit the leading explanations again from a simulation that is not off.
+
+    Without elements that would resist, an inaccuracy that had stood for a cause stays where it was beside it.
+    """
+    for e in ranked_by(found, prior)[:AGAIN]:
+        attempt(setting, found, e.causes, e.fit.u, None)
+
+
 def beside_a_factor(bare: Setting, setting: Setting, found: Found, prior: Prior) -> tuple[Setting, Found]:
     """Fit the leading explanations again with the factors throughout and uneven errors that the data ask for.
 
@@ -74,7 +83,12 @@ def _fitted_again(setting: Setting, explanations: Sequence[Explanation]) -> Foun
 
 
 def beside_the_rest(setting: Setting, found: Found, prior: Prior, late: Callable[[], bool]) -> tuple[Setting, Found]:
-    """Fit the leading explanations again, together with the rest that no element explains."""
+    """Fit the leading explanations again, together with the rest that no element explains.
+
+    Not where nothing is known of elements: all that is off is such a rest.
+    """
+    if setting.inaccuracy.between_modes:
+        return setting, found
     ranked = ranked_by(found, prior)
     leading, bare = near_the_first(ranked[:AGAIN], FAR), [e for e in ranked if not e.causes]
     leading = leading if explains(ranked[0].fit) else ranked[:AGAIN]

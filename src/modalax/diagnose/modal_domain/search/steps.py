@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes.change import Change, own_sizes
+from modalax.diagnose.modal_domain.causes.change import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.fitting.attempts import attempt, explains, key_of, possible, without
 from modalax.diagnose.modal_domain.fitting.explanation import SECOND, Explanation, Prior, ranked_by
 from modalax.diagnose.modal_domain.fitting.fit import Fit, Found, fit, without_causes
@@ -171,7 +171,20 @@ def further_cause(search: Search, best: Fit, late: Late) -> bool:
             break
         u = np.append(best.u, candidates[j].of_size(0.0))
         search.fit((*best.causes, candidates[j]), u, without_causes(f))
+        if setting.inaccuracy.between_modes and candidates[j].in_channels:
+            _drop_usual(search, (*best.causes, candidates[j]))
     return bool(starts_of)
+
+
+def _drop_usual(search: Search, causes: tuple[Change, ...]) -> None:
+    """Drop an explanation that adds an error of a channel no larger than is usual: shapes at a DoF are off by as much.
+
+    Without elements these have no other name.
+    """
+    f = search.found.get(key_of(causes))
+    sizes = [] if f is None else [abs(c.size(u)) for c, u in with_sizes(f.causes, f.u) if c == causes[-1] and c.sized]
+    if any(size < THRESHOLDS.calibration for size in sizes):
+        del search.found[key_of(causes)]
 
 
 def with_losses(search: Search, late: Late) -> None:

@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dtrtrs
 from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.structure.enriched import ritz_basis
 from modalax.diagnose.modal_domain.structure.loads import REAL, Load, loaded_modes
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation, flexibility_above
 from modalax.diagnose.modal_domain.structure.nodes import nodes_of
 from modalax.diagnose.modal_domain.structure.parts import parts_of
 from modalax.diagnose.modal_domain.structure.turns import nodes_in
@@ -22,6 +23,8 @@ from modalax.model import Structure
 QUICK = 1e3  # frequency of a DoF by itself, over that of the band, above which it is given mass
 SPARED = 0.99  # frequency, relative to the spare coordinate's, above which a mode is that coordinate
 SPARE = 4.0  # frequency of a coordinate to which nothing is attached, over the highest of all
+FAR = 4.0  # frequency of coordinates of single DoFs beside modes alone, over the highest of these
+FEW = 40  # measured DoFs up to which each has one
 LARGEST = 120  # modal coordinates of large simulations
 DRIVEN = 20  # channels of one side up to which the static responses to forces at these are kept as well
 NEXT_TO = 60  # DoFs about which a large simulation is made exact up to which those of nodes next to them are too
@@ -51,6 +54,11 @@ class Coordinates:
     names, everywhere
         DoFs that the simulation's elements know and their rows of shapes, also those that follow the others statically;
         where no elements are told, all DoFs.
+    spares
+        Coordinates at the end to which nothing belongs: the spare one, and before it, of modes alone, those that may
+        stand for modes further above.
+    local
+        Coordinates before these that move one measured DoF each, as flexible as the modes there that are not known.
     """
 
     frequencies: np.ndarray
@@ -61,6 +69,8 @@ class Coordinates:
     solved: int
     names: tuple[str, ...]
     everywhere: np.ndarray
+    spares: int = 1
+    local: int = 0
 
     @property
     def size(self) -> int:
@@ -109,7 +119,7 @@ class Modes:
 
 
 def coordinates_of(
-    simulation: Structure, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float,
+    simulation: Simulation, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float,
     exact: tuple[str, ...] = (), errors: np.ndarray | None = None,
 ) -> Coordinates:  # fmt: skip
     """Modal coordinates of a simulation whose band ends at ``highest`` [rad/s].
@@ -118,6 +128,8 @@ def coordinates_of(
     these are fewer, moves as that does if what acts on the nodes of the DoFs ``exact`` changes, and under the forces of
     ``errors`` of elements, shape ``(n, f)`` over the DoFs that these know.
     """
+    if isinstance(simulation, ModesOnly):
+        return _of_modes(simulation, outputs, inputs, highest)
     fewer = min(outputs, inputs, key=len)  # by static responses to forces at one side the FRFs follow at the other
     driven = fewer if len(fewer) <= DRIVEN else ()
     names, frequencies, shapes, inside = _solved(simulation, highest, LARGEST, exact, errors, driven)
@@ -127,9 +139,34 @@ def coordinates_of(
     damping = _damping(simulation, frequencies, shapes, highest)
     rows, columns = ([simulation.index(name) for name in channels] for channels in (outputs, inputs))
     return Coordinates(
-        frequencies, damping, shapes, shapes[rows], shapes[columns],
-        min(len(frequencies), max(inside + FURTHER, AT_LEAST)), names, everywhere,
+        frequencies, damping, shapes, shapes[rows], shapes[columns], _solved_with_damping(len(frequencies), inside),
+        names, everywhere,
     )  # fmt: skip
+
+
+def _solved_with_damping(size: int, inside: int) -> int:
+    """How many of all modes are, of which some are in the band."""
+    return min(size, max(inside + FURTHER, AT_LEAST))
+
+
+def _of_modes(
+    simulation: ModesOnly, outputs: tuple[str, ...], inputs: tuple[str, ...], highest: float
+) -> Coordinates:  # fmt: skip
+    """Coordinates of modes alone, beside what those that are not known add at measured DoFs."""
+    known, measured = simulation.frequencies[:LARGEST], sorted({*outputs, *inputs})
+    at = [simulation.dofs.index(name) for name in measured if len(measured) <= FEW]
+    spares, local, last = 1 + min(len(outputs), len(inputs)), len(at), len(known)
+    spare = SPARE * max(float(known[-1]), highest)
+    frequencies = np.concatenate([known, np.full(local, FAR * known[-1]), np.full(spares, spare)])
+    shapes = np.pad(simulation.shapes[:, :LARGEST], ((0, 0), (0, local + spares)))
+    seen = shapes.copy()  # by sensors, and by forces; springs and masses may be anywhere
+    seen[at, last + np.arange(local)] = FAR * known[-1] * np.sqrt(flexibility_above(known, shapes[at, :last]))
+    damping = np.diag(np.append(simulation.damping[:LARGEST], np.zeros(local + spares)))
+    rows, columns = ([simulation.dofs.index(name) for name in channels] for channels in (outputs, inputs))
+    solved = _solved_with_damping(len(frequencies), int(np.count_nonzero(known < highest)))
+    return Coordinates(
+        frequencies, damping, shapes, seen[rows], seen[columns], solved, simulation.dofs, shapes, spares, local
+    )
 
 
 def _damping(simulation: Structure, frequencies: np.ndarray, shapes: np.ndarray, highest: float) -> np.ndarray:
@@ -175,8 +212,10 @@ def _about(names: tuple[str, ...], K: np.ndarray, exact: tuple[str, ...]) -> lis
     return np.flatnonzero(near if np.count_nonzero(near) <= NEXT_TO else here).tolist()
 
 
-def is_large(simulation: Structure) -> bool:
+def is_large(simulation: Simulation) -> bool:
     """Whether few modal coordinates stand for a simulation."""
+    if isinstance(simulation, ModesOnly):
+        return False
     told = simulation.elements
     return len(simulation.dofs if told is None or not told.dofs else told.dofs) > LARGEST
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.structure.elements import stiffness_parts
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
 from modalax.diagnose.modal_domain.structure.nodes import NEGLIGIBLE, Nodes, nodes_of
 
 AT_ONCE = 2  # rotations that one row may be coupled to
@@ -163,6 +164,12 @@ def _share_out(kinds: list[str], axes: list[int], out: dict[str, int], first: in
 
 
 @remembered(4)  # of a simulation, which is asked about by several
+def nodes_at(simulation: Simulation) -> Nodes:
+    """Nodes of a simulation; of one that is known by its modes alone by the names of its DoFs."""
+    dofs = simulation.dofs
+    return nodes_of(dofs) if isinstance(simulation, ModesOnly) else nodes_in(dofs, np.asarray(simulation.K))
+
+
 def nodes_in(dofs: tuple[str, ...], K: np.ndarray) -> Nodes:
     """Nodes by the names of their DoFs, and by the stiffness matrix where names do not tell, or tell what is not so.
 

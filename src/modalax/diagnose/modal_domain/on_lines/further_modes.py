@@ -1,0 +1,96 @@
+r"""What the modes add to the FRFs that a simulation leaves out which is given as modes.
+
+A modal model ends at some mode. The modes above add :math:`U_{oi}` to a receptance in the band, real where they are
+lightly damped. The measurement tells it: what its own modes in the band leave, less the modes beyond the band that the
+simulation does have. Faults of channels act on it as on all else. In modal coordinates it is that of spare ones,
+:math:`U_{oi} = \sum_k\phi_{ok}\phi_{ik}/\Omega^2`, as many as there are channels on the shorter side.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from modalax.diagnose.modal_domain.causes.change import Change, shown
+from modalax.diagnose.modal_domain.fitting.fit import Fit
+from modalax.diagnose.modal_domain.fitting.state import Setting
+from modalax.diagnose.modal_domain.modes.measured import Measured
+
+LINES = 60  # frequency lines at which residual terms are compared, which are smooth
+NEXT = 1.5  # times the ends of the band within which a mode of the simulation is next to it
+OFF = 0.05  # usual error of its residues, relative to the largest of them
+
+
+def with_further_modes(setting: Setting, f: Fit, measured: Measured) -> Setting:
+    """The setting with residual terms of each FRF, beside a fit of the modes."""
+    c = setting.coordinates
+    flexible = residual_terms(setting, f, measured)
+    outputs, inputs = c.outputs.copy(), c.inputs.copy()
+    spare = np.arange(c.size - c.spares, c.size - 1)
+    unit = np.eye(len(spare))
+    outer, inner = (flexible, unit) if len(inputs) == len(spare) else (unit, flexible.T)
+    outputs[:, spare], inputs[:, spare] = outer * c.frequencies[spare], inner * c.frequencies[spare]
+    return replace(setting, coordinates=replace(c, outputs=outputs, inputs=inputs))
+
+
+def residual_terms(setting: Setting, f: Fit, measured: Measured) -> np.ndarray:
+    """U [m/N] of each FRF, shape ``(o, i)``.
+
+    Modes next to the band are off as those in it are, which must not be taken for a residual term: beside it their
+    residues may be off by a part of their size.
+    """
+    c, channels, modes = setting.coordinates, measured.channels, measured.modes
+    origin, shape = measured.features.origin, (len(c.outputs), len(c.inputs))
+    known = np.arange(len(modes.poles)) if origin is None else origin.together.every
+    others = np.setdiff1d(np.arange(len(modes.poles)), known)
+    few = np.linspace(0, len(channels.s) - 1, min(LINES, len(channels.s))).astype(int)
+    rest = replace(modes, poles=modes.poles[others], residues=modes.residues[others]).made(channels)[few]
+    s, found = channels.s[few], f.state.modes
+    form = s[:, None, None] ** channels.order
+    beyond = np.setdiff1d(np.arange(len(found.poles)), f.state.together.every)
+    poles, residues = found.poles[beyond], found.residues(c)[beyond]
+    shapes, squares = found.high
+    above = (c.outputs @ shapes.T / squares) @ (shapes @ c.inputs.T)
+    left = rest.reshape(-1, *shape) - shown(f.causes, f.u, s, (_made(s, poles, residues) + above) * form)
+    low, high = np.abs(channels.s[[0, -1]])
+    size = np.abs(poles)
+    beside = np.flatnonzero((size > low / NEXT) & (size < high * NEXT))
+    static = np.abs(residues / poles[:, None, None])[size > high].sum(axis=0) + np.abs(above)
+    usual = [np.full(shape, max(float(static.max(initial=0.0)), 1e-300))]
+    kernels = [form[:, 0, 0]]
+    for k in beside:
+        own = np.full(shape, OFF * np.abs(residues[k]).max())
+        for part in (1.0, 1j):
+            kernels.append(_made(s, poles[[k]], np.full((1, 1, 1), part))[:, 0, 0] * form[:, 0, 0])
+            usual.append(np.maximum(own, 1e-300))
+    weight = channels.weight[few].reshape(-1, *shape)
+    return _fitted(f.causes, f.u, s, np.stack(kernels), np.stack(usual), left, weight)
+
+
+def _made(s: np.ndarray, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+    """Receptance of poles and residues ``(m, o, i)``, shape ``(f, o, i)``."""
+    up, down = (1 / (s[:, None] - x) for x in (poles, poles.conj()))
+    return np.einsum("fm,moi->foi", up, residues) + np.einsum("fm,moi->foi", down, residues.conj())
+
+
+def _fitted(
+    causes: tuple[Change, ...], u: np.ndarray, s: np.ndarray, forms: np.ndarray, usual: np.ndarray, data: np.ndarray,
+    weight: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """Real size ``(o, i)`` of the first of some forms ``(k, f)`` that is nearest to data ``(f, o, i)``.
+
+    Channels show it with their faults. The other forms are fitted beside it, each of a size that is ``usual``, shape
+    ``(k, o, i)``, before the data.
+    """
+    _, o, i = data.shape
+    out, columns = np.zeros((o, i)), []
+    for form in forms:
+        each = [np.where(np.arange(o)[:, None] == k, form[:, None, None], 0.0) * np.ones(i) for k in range(o)]
+        columns += [shown(causes, u, s, one) for one in each]
+    every = np.stack(columns, axis=-1)
+    for k in range(i):
+        scale, root = usual[:, :, k].ravel(), np.sqrt(weight[:, :, k]).ravel()
+        A, y = root[:, None] * every[:, :, k].reshape(-1, len(columns)) * scale, root * data[:, :, k].ravel()
+        A = np.concatenate([A.real, A.imag, np.eye(len(columns))])
+        y = np.concatenate([y.real, y.imag, np.zeros(len(columns))])
+        out[:, k] = np.linalg.lstsq(A, y, rcond=None)[0][:o] * scale[:o]
+    return out
