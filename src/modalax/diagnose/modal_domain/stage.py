@@ -290,11 +290,13 @@ def _searched(
     setting, candidates, explanations = explain(task.setting, candidates, first, tell, *also, known)
     if not explanations:
         return None
-    if isinstance(simulation, ModesOnly):
+    alone = isinstance(simulation, ModesOnly)
+    if alone:
         setting = with_further_modes(setting, explanations[0].fit, measured)
     c, odd, seen = setting.coordinates, None, None
     if not early.seen:
-        explanations = damping_by_lines(setting, explanations, measured, late)
+        if not alone:  # whose lines hold further modes, the phase of which nobody knows
+            explanations = damping_by_lines(setting, explanations, measured, late)
         odd = _odd(measurement, simulation, setting, explanations, late)
         setting, explanations = leading_on_lines(setting, explanations, measured, late)
     try:

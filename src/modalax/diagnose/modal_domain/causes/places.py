@@ -204,7 +204,8 @@ def springs_of(
     supports = [p for p in parts if len(p.nodes) == 1 and len(p.dofs) <= HELD]
     held = {int(k): p.matrix[j, j] for p in supports for j, k in enumerate(p.dofs)}
     groups: dict[str, list] = {key: [] for key in SHARES}
-    for a, b in itertools.combinations(range(len(dofs)), 2):
+    some = [k for k, name in enumerate(dofs) if not anywhere or name in apart]
+    for a, b in itertools.combinations(some, 2):
         pair = frozenset((a, b))
         key = "named" if pair in asked else "spring" if pair in own else "coupled" if pair in within else "apart"
         alike = nodes.axis[a] == nodes.axis[b]

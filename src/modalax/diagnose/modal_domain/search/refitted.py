@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from modalax.diagnose.deadline import NEVER
 from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.fitting.attempts import attempt, explains, key_of
@@ -33,10 +35,13 @@ Finer = Callable[[tuple[str, ...], Fit], tuple[Setting, list[Change]]]
 def from_the_simulation(setting: Setting, found: Found, prior: Prior) -> None:
     """Fit the leading explanations again from a simulation that is not off.
 
-    Without elements that would resist, an inaccuracy that had stood for a cause stays where it was beside it.
+    Without elements that would resist, an inaccuracy that had stood for a cause stays where it was beside it. And none
+    from the inaccuracy of each: it must be no less likely than a cause of no size.
     """
     for e in ranked_by(found, prior)[:AGAIN]:
         attempt(setting, found, e.causes, e.fit.u, None)
+        if e.causes:
+            attempt(setting, found, (), np.zeros(0), without_causes(e.fit), gentle=False)
 
 
 def beside_a_factor(bare: Setting, setting: Setting, found: Found, prior: Prior) -> tuple[Setting, Found]:

@@ -2,7 +2,8 @@ r"""A simulation of which modes alone are known, as of a modal model: no matrice
 
 What is known of the modes that it leaves out is how many there are likely to be: frequencies of a structure rise as a
 power of their number, :math:`\omega_s\propto s^p`, and far above the band modes are alike in size, so that those above
-the last, N, have the flexibility :math:`\sum_{s>N}\phi_s^2/\omega_s^2\approx\bar\phi^2N/((2p-1)\,\omega_N^2)` at a DoF.
+the last, N, have the flexibility :math:`\sum_{s>N}\phi_s^2/\omega_s^2\approx\bar\phi^2N/((2p-1)\,\omega_N^2)` at a DoF,
+the sum as an integral from :math:`N+\tfrac12` on.
 
 Residues :math:`\psi_o\psi_i/a` of a structure whose damping couples no modes are :math:`\phi_o\phi_i/(2j\omega_d)`,
 with real shapes :math:`\phi` of unit modal mass. What further modes add between drive points, the residual terms
@@ -102,7 +103,11 @@ def flexibility_above(frequencies: np.ndarray, shapes: np.ndarray) -> np.ndarray
         slope = np.polyfit(np.log(upper + 1.0), np.log(frequencies[upper]), 1)[0]
         power = float(np.clip(slope, *POWERS))
     size = (shapes[:, upper] ** 2).mean(axis=1)
-    return size * len(frequencies) / ((2 * power - 1) * frequencies[-1] ** 2)
+    last = len(frequencies)
+    tail = (
+        last * (1 + 0.5 / last) ** (1 - 2 * power) / (2 * power - 1)
+    )  # of the sum of (s / N)^(-2p), begun half before
+    return size * tail / frequencies[-1] ** 2
 
 
 def _factor(term: np.ndarray, drives: list[int]) -> np.ndarray:
