@@ -338,10 +338,7 @@ def _held_in_full(problem: Problem, simulation: ExtendedSimulation) -> tuple[Any
 def _question(question: str, simulation: Structure | ModalModel) -> tuple[str, str]:
     if question != "auto":
         return question, f"the {question.upper()} question was asked for"
-    fitted = isinstance(simulation, ModalModel) and bool(
-        np.abs(np.asarray(simulation.upper)).max(initial=0) + np.abs(np.asarray(simulation.lower)).max(initial=0) > 0
-    )
-    if fitted:
+    if isinstance(simulation, ModalModel) and simulation.fitted:
         return "free", (
             "the simulation is a modal fit (it has residual terms), so its modal parameters are free (FREE question): "
             "only what no linear modal model explains is named"

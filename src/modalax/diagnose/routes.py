@@ -54,8 +54,7 @@ def _task_of_modes(
     measurement: Measurement, simulation: ModalModel, question: str, causes: Sequence[Cause] | None
 ) -> Task:  # fmt: skip
     """The same of a modal model, which may be a measured one: its residual terms tell."""
-    fitted = bool(np.any(np.asarray(simulation.upper)) or np.any(np.asarray(simulation.lower)))
-    alone = modes_only(simulation) if question == "fixed" or question == "auto" and not fitted else None
+    alone = modes_only(simulation) if question == "fixed" or question == "auto" and not simulation.fitted else None
     if alone is None or not {*measurement.outputs, *measurement.inputs} <= set(alone.dofs):
         return Task(has_modes=False)
     count = len(alone.dofs)

@@ -17,6 +17,8 @@ from modalax.data.dofs import as_names
 from modalax.data.frf import DERIVATIVES, FRF, check_form, check_names
 from modalax.model.overview import of_modes
 
+ROUNDING = 1e-9  # part of a residual term, relative to its largest entry, that rounding explains
+
 
 def poles_from(frequency_hz: Any, damping_ratio: Any) -> Complex[Array, " n"]:
     r"""Poles :math:`\lambda = -\zeta\omega + j\omega\sqrt{1-\zeta^2}` [rad/s] of frequencies [Hz] and ratios."""
@@ -191,6 +193,15 @@ class ModalModel(eqx.Module):
             return self
         return self.transpose().normalised("max")
 
+    @property
+    def fitted(self) -> bool:
+        """Whether its residual terms are those of a fit to FRFs, and not of modes that a simulation leaves out.
+
+        What rigid bodies and the modes above add is real, symmetric and not negative between all DoFs.
+        """
+        terms = [np.asarray(self.upper), np.asarray(self.lower)]
+        return any(map(np.any, terms)) and not (self.outputs == self.inputs and all(map(_of_modes, terms)))
+
     def drive_points(self) -> tuple[str, ...]:
         """DoFs that are both output and input."""
         return tuple(name for name in self.inputs if name in self.outputs)
@@ -311,6 +322,12 @@ class ModalModel(eqx.Module):
         if is_traced(term):
             return jnp.append(term.ravel(), 0.0)[where]
         return as_array(np.append(np.asarray(term), 0.0)[where])
+
+
+def _of_modes(term: np.ndarray) -> bool:
+    """Whether a residual term is what some modes add, but for rounding."""
+    least, real = ROUNDING * np.abs(term).max(initial=0.0), (term.real + term.real.T) / 2
+    return bool(np.abs(term - real).max(initial=0.0) <= least and np.linalg.eigvalsh(real)[0] >= -least)
 
 
 @by_numpy

@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 import scipy.linalg
+from chains_off import DOFS as CHAIN
+from chains_off import MASSES, SPRINGS, as_measured, response
 from chains_off import simulation as chain
 from frames import DOFS, FLIP, cantilever, measured, simulation
 from kinds import few_or_all
@@ -44,7 +46,10 @@ def test_rigid_bodies_and_further_modes_that_residual_terms_tell_are_modes_too()
     K, M = np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]]) * 1e5, np.diag([1.0, 2.0, 1.5])
     free = Structure(M, 1e-5 * K, K, ("1:+X", "2:+X", "3:+X"))
     found = modes_only(free.modal())
-    assert found.frequencies[0] == 0.0
+    assert found.frequencies[0] == 0.0 and not free.modal().fitted
+    noise = np.random.default_rng(0).standard_normal((3, 3)) * 1e-9
+    assert free.modal().replace(upper=noise).fitted
+    assert free.modal().replace(upper=1e-9j * np.eye(3)).fitted
     np.testing.assert_allclose(np.abs(found.shapes[:, 0]), 1 / np.sqrt(4.5), rtol=1e-8)
     s = chain()
     values, phi = scipy.linalg.eigh(np.asarray(s.K), np.asarray(s.M))
@@ -100,6 +105,12 @@ def test_couplings_have_the_variances_of_elements_that_are_each_off():
     np.testing.assert_allclose(turned, a * c.frequencies[1] * np.sqrt(flexible), rtol=0.01)
 
 
+def of_single_dofs(c):
+    """The flexibility that coordinates of single measured DoFs have, which is a part of what further modes add."""
+    rows = slice(c.size - c.spares - c.local, c.size - c.spares)
+    return (c.outputs[:, rows] / c.frequencies[rows] ** 2) @ c.inputs[:, rows].T
+
+
 def test_what_further_modes_add_to_each_frf_is_read_off_the_measurement():
     """The static flexibility of the beam's modes above the eighth, beside modes next to the band that are off."""
     m, _ = measured(3, 0.01, noise=0.001)
@@ -111,12 +122,7 @@ def test_what_further_modes_add_to_each_frf_is_read_off_the_measurement():
     phi = FLIP[:, None] * phi
     o, i = ([DOFS.index(name) for name in names] for names in (m.outputs, m.inputs))
     exact = (phi[o, MODES:] / values[MODES:]) @ phi[i, MODES:].T
-    stands_for = setting.coordinates  # the drive points' own coordinates hold a part of it
-    known = sum(
-        np.outer(stands_for.outputs[:, k], stands_for.inputs[:, k]) / stands_for.frequencies[k] ** 2
-        for k in range(MODES, MODES + stands_for.local)
-    )
-    told = residual_terms(setting, fit(setting), found) + known
+    told = residual_terms(setting, fit(setting), found) + of_single_dofs(setting.coordinates)
     assert np.linalg.norm(told - exact) < 0.25 * np.linalg.norm(exact)
 
 
@@ -147,3 +153,16 @@ def test_two_sensors_exchanged_are_named_whatever_had_stood_for_them():
     (cause,) = found.to_dict()["causes"]
     assert found.verdict == "named" and cause["name"] == "channel_swap"
     assert set(cause["where"]) == set(m.outputs[:2])
+
+
+def test_what_rigid_bodies_add_is_none_of_further_modes():
+    """A free chain of which all modes are known; its rigid body alone adds more than fifty times as much."""
+    B = np.diff(np.eye(5), axis=0)
+    K, M = B.T @ np.diag(SPRINGS[1:5]) @ B, np.diag(MASSES)
+    freq = np.linspace(20.0, 110.0, 400)
+    m = as_measured(response(M, 2e-5 * K, K, freq), freq, 0, noise=0.001)
+    sim = modes_only(Structure(M, 2e-5 * K, K, CHAIN).modal())
+    found = identified(m, sim, lambda _: None)
+    setting = posed(m, sim, found).setting
+    told = residual_terms(setting, fit(setting), found) + of_single_dofs(setting.coordinates)
+    assert np.abs(told).max() < 0.02 / (MASSES.sum() * (2 * np.pi * freq[0]) ** 2)

@@ -14,6 +14,7 @@ from modalax.diagnose.modal_domain.causes.change import Change, shown
 from modalax.diagnose.modal_domain.fitting.fit import Fit
 from modalax.diagnose.modal_domain.fitting.state import Setting
 from modalax.diagnose.modal_domain.modes.measured import Measured
+from modalax.diagnose.modal_domain.on_lines.polish import frf_on_lines
 
 LINES = 60  # frequency lines at which residual terms are compared, which are smooth
 NEXT = 1.5  # times the ends of the band within which a mode of the simulation is next to it
@@ -46,11 +47,13 @@ def residual_terms(setting: Setting, f: Fit, measured: Measured) -> np.ndarray:
     rest = replace(modes, poles=modes.poles[others], residues=modes.residues[others]).made(channels)[few]
     s, found = channels.s[few], f.state.modes
     form = s[:, None, None] ** channels.order
-    beyond = np.setdiff1d(np.arange(len(found.poles)), f.state.together.every)
+    inside = f.state.together.every
+    beyond = np.setdiff1d(np.arange(len(found.poles)), inside)
     poles, residues = found.poles[beyond], found.residues(c)[beyond]
+    own = shown(f.causes, f.u, s, _made(s, found.poles[inside], found.residues(c)[inside]) * form)
+    left = rest.reshape(-1, *shape) + own - frf_on_lines(setting, f.causes, f.sizes, f.u, s, channels.order)
     shapes, squares = found.high
     above = (c.outputs @ shapes.T / squares) @ (shapes @ c.inputs.T)
-    left = rest.reshape(-1, *shape) - shown(f.causes, f.u, s, (_made(s, poles, residues) + above) * form)
     low, high = np.abs(channels.s[[0, -1]])
     size = np.abs(poles)
     beside = np.flatnonzero((size > low / NEXT) & (size < high * NEXT))
