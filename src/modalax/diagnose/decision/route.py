@@ -178,7 +178,7 @@ def suffices(route: Route, found: Outcome, task: Task) -> bool:
         return explained(found)
     if task.massless or found.askew or task.undamped and found.verdict != "unknown":
         return True
-    if task.modes_alone and found.verdict != "unknown" and (certainly_off(found) or dampings_off(found)):
+    if task.modes_alone and found.verdict != "unknown" and certainly_off(found):
         return True
     if found.of_elements and surely_named(found):  # lines have no such cause, and would find nothing beside it
         return True

@@ -15,7 +15,7 @@ from modalax.diagnose.modal_domain.fitting.directions import along_features, by_
 from modalax.diagnose.modal_domain.fitting.inaccuracy import KINDS, Inaccuracy
 from modalax.diagnose.modal_domain.modes.features import Features, paired
 from modalax.diagnose.modal_domain.modes.repeated import Together, further
-from modalax.diagnose.modal_domain.structure.coordinates import SPARED, Coordinates, Modes, modes_of
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, Modes, modes_of
 from modalax.diagnose.modal_domain.structure.factored import Factored
 from modalax.diagnose.modal_domain.structure.slopes import (
     Slopes,
@@ -243,7 +243,7 @@ def state_at(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (
     share = hysteretic_share(causes, u)
     if share:
         modes = replace(modes, poles=hysteretic_poles(modes.poles, share))
-    seen = np.abs(plain).max(axis=(1, 2), initial=0.0)
+    seen = np.abs(plain[np.abs(modes.poles) < c.end]).max(axis=(1, 2), initial=0.0)
     needed = np.isnan(setting.linear).sum() - sum(cause.freed is not None for cause in causes)
     if np.count_nonzero(seen > UNSEEN * seen.max(initial=0.0)) < needed:  # the spare coordinate is none
         raise np.linalg.LinAlgError("fewer modes than measured")
@@ -253,7 +253,7 @@ def state_at(setting: Setting, sizes: np.ndarray, causes: tuple[Change, ...] = (
     if not np.abs(residues).max(initial=0.0) < WILD * np.abs(plain).max(initial=1.0):
         raise np.linalg.LinAlgError("a channel out of all bounds")
     pairs = pairs_with(f, causes, modes.poles, residues)
-    if (np.abs(modes.poles[pairs]) > SPARED * c.frequencies[-1]).any():
+    if (np.abs(modes.poles[pairs]) > c.end).any():
         raise np.linalg.LinAlgError("a mode measured has no partner but the spare coordinate")
     together, mean, whole = compared(f, modes.poles, residues, pairs)
     difference = (f.values - f.predicted(mean, whole, setting.linear)).ravel()

@@ -14,7 +14,7 @@ from modalax.diagnose.modal_domain.modes.features import Features, chosen, featu
 from modalax.diagnose.modal_domain.modes.free_residues import Channels, Projected, refine
 from modalax.diagnose.modal_domain.modes.mode_count import blind_modes, cost_of_mode, heavy, misfit, mode_gains
 from modalax.diagnose.modal_domain.modes.repeated import close_pairs, of_rank, reach, twofold
-from modalax.diagnose.modal_domain.structure.coordinates import SPARED, Coordinates, modes_of
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, modes_of
 from modalax.diagnose.setup.noise import Noise, noise_of, third_difference
 from modalax.identify.shared_noise import shared_noise
 
@@ -261,7 +261,7 @@ def _first_guess(measurement: Measurement, H: np.ndarray) -> np.ndarray:
 
 def _outside(c: Coordinates, low: float, high: float) -> np.ndarray:
     poles = modes_of(c).poles
-    poles = poles[np.abs(poles) < SPARED * c.frequencies[-1]]  # not the spare coordinate
+    poles = poles[np.abs(poles) < c.end]
     size = np.abs(poles)
     below, above = poles[size < low * (1 - ASIDE)], poles[size > high * (1 + ASIDE)]
     return np.concatenate([below[-BELOW:], above[:ABOVE]])

@@ -1,4 +1,4 @@
-r"""What the modes add to the FRFs that a simulation leaves out which is given as modes.
+r"""What modes add to the FRFs that a simulation leaves out which is given as modes.
 
 A modal model ends at some mode. The modes above add :math:`U_{oi}` to a receptance in the band, real where they are
 lightly damped. The measurement tells it: what its own modes in the band leave, less the modes beyond the band that the
@@ -81,19 +81,19 @@ def _fitted(
 ) -> np.ndarray:  # fmt: skip
     """Real size ``(o, i)`` of the first of some forms ``(k, f)`` that is nearest to data ``(f, o, i)``.
 
-    Channels show it with their faults. The other forms are fitted beside it, each of a size that is ``usual``, shape
-    ``(k, o, i)``, before the data.
+    Channels show it with their faults, an output that is exchanged in the place of the other. The other forms are
+    fitted beside it, each of a size that is ``usual``, shape ``(k, o, i)``, before the data.
     """
     _, o, i = data.shape
-    out, columns = np.zeros((o, i)), []
-    for form in forms:
-        each = [np.where(np.arange(o)[:, None] == k, form[:, None, None], 0.0) * np.ones(i) for k in range(o)]
-        columns += [shown(causes, u, s, one) for one in each]
-    every = np.stack(columns, axis=-1)
-    for k in range(i):
-        scale, root = usual[:, :, k].ravel(), np.sqrt(weight[:, :, k]).ravel()
-        A, y = root[:, None] * every[:, :, k].reshape(-1, len(columns)) * scale, root * data[:, :, k].ravel()
-        A = np.concatenate([A.real, A.imag, np.eye(len(columns))])
-        y = np.concatenate([y.real, y.imag, np.zeros(len(columns))])
-        out[:, k] = np.linalg.lstsq(A, y, rcond=None)[0][:o] * scale[:o]
+    out = np.zeros((o, i))
+    for k in range(o):
+        unit = np.where(np.arange(o)[:, None] == k, 1.0 + 0j, 0.0) * np.ones((len(s), 1, i))
+        seen = shown(causes, u, s, unit)
+        row = int(np.argmax(np.abs(seen).sum(axis=(0, 2))))  # the channel that shows this output
+        for j in range(i):
+            root, scale = np.sqrt(weight[:, row, j]), usual[:, k, j]
+            A, y = (root * seen[:, row, j])[:, None] * forms.T * scale, root * data[:, row, j]
+            A = np.concatenate([A.real, A.imag, np.eye(len(forms))])
+            y = np.concatenate([y.real, y.imag, np.zeros(len(forms))])
+            out[k, j] = np.linalg.lstsq(A, y, rcond=None)[0][0] * scale[0]
     return out

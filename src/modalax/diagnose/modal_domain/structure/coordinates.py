@@ -77,6 +77,11 @@ class Coordinates:
         """Number of modal coordinates."""
         return len(self.frequencies)
 
+    @property
+    def end(self) -> float:
+        """Circular frequency [rad/s] from which on poles are of coordinates that stand for no mode."""
+        return SPARED * float(self.frequencies[self.size - self.spares - self.local])
+
 
 @dataclass(frozen=True)
 class Modes:
