@@ -14,8 +14,9 @@ from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.extend import ExtendedSimulation
 from modalax.diagnose.modal_domain.causes.change import own_sizes, with_sizes
 from modalax.diagnose.modal_domain.causes.given_elements import changed_by_elements
+from modalax.diagnose.modal_domain.fitting.between_modes import RIGID
 from modalax.diagnose.modal_domain.fitting.fit import Fit, scale_of, widths_of_sizes
-from modalax.diagnose.modal_domain.fitting.inaccuracy import KINDS, RIGID, THROUGHOUT, TOLD, WITHIN
+from modalax.diagnose.modal_domain.fitting.inaccuracy import KINDS, THROUGHOUT, TOLD, WITHIN
 from modalax.diagnose.modal_domain.fitting.linear import root_of_information
 from modalax.diagnose.modal_domain.fitting.state import FARTHEST, Setting, off_by, slopes_at
 from modalax.diagnose.modal_domain.fitting.throughout import throughout_told
@@ -61,21 +62,28 @@ def corrected(stage: Stage, f: Fit) -> Structure | ModalModel:
 
 
 def _corrected_modes(stage: Stage, simulation: ModesOnly, f: Fit) -> ModalModel:
-    """Modes alone, corrected: those of their changed modal matrices."""
-    c = stage.coordinates
+    """Modes alone, corrected: those of their changed modal matrices.
+
+    What further modes add is a residual term of the measured FRFs, on which what comes on top does not act.
+    """
+    c, m = stage.setting.coordinates, stage.measurement
+    spare = np.arange(c.size) >= c.size - c.spares - c.local
+    rows, columns = ([simulation.dofs.index(name) for name in names] for names in (m.outputs, m.inputs))
+    upper = np.zeros((len(simulation.dofs),) * 2)
+    upper[np.ix_(rows, columns)] = (c.outputs[:, spare] / c.frequencies[spare] ** 2) @ c.inputs[:, spare].T
     change = off_by(stage.setting, f.sizes, f.causes, f.u)
     for cause, value in with_sizes(f.causes, f.u):
         if cause.in_structure and cause.local:
             for kind, part in cause.changes(value).items():
                 change[kind] = change[kind] + part
-    m = modes_of(c, change["M"], change["C"], change["K"])
-    high, squares = m.high
-    poles = np.concatenate([m.poles, 1j * np.sqrt(squares) - 0.5 * np.einsum("kn,nm,km->k", high, c.damping, high)])
-    shapes = np.vstack([m.vectors, high / np.sqrt(2j * poles.imag[len(m.poles) :])[:, None]]) @ c.shapes.T
-    seen = np.abs(shapes).max(axis=1) > SEEN * np.abs(shapes).max()
-    rigid = m.low[0][m.low[1] < (RIGID * c.frequencies[-1]) ** 2] @ c.shapes.T
+    modes = modes_of(c, change["M"], change["C"], change["K"])
+    high, squares = modes.high
+    own = np.concatenate([modes.poles, 1j * np.sqrt(squares) - 0.5 * np.einsum("kn,nm,km->k", high, c.damping, high)])
+    shapes = np.vstack([modes.vectors, high / np.sqrt(2j * own.imag[len(modes.poles) :])[:, None]]) @ c.shapes.T
+    some = np.abs(shapes).max(axis=1) > SEEN * np.abs(shapes).max()
+    rigid = modes.low[0][modes.low[1] < (RIGID * c.frequencies[-1]) ** 2] @ c.shapes.T
     return ModalModel(
-        poles[seen], shapes[seen], shapes[seen], outputs=simulation.dofs, inputs=simulation.dofs,
+        own[some], shapes[some], shapes[some], outputs=simulation.dofs, inputs=simulation.dofs, upper=upper,
         lower=rigid.T @ rigid,
     )  # fmt: skip
 

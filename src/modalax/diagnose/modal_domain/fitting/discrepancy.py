@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from modalax._numerics.triangles import forward
+from modalax.diagnose.modal_domain.fitting.between_modes import OWN
 from modalax.diagnose.modal_domain.fitting.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.fitting.inaccuracy import with_group
 from modalax.diagnose.modal_domain.fitting.state import Setting, feature_slopes, slopes_at, whitened
@@ -19,7 +20,7 @@ from modalax.diagnose.modal_domain.structure.slopes import pattern_slopes, slope
 
 SIZES = (0.0, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 3e-3, 1e-2, 3e-2)  # relative sizes that are tried
 BESIDE, NEXT = 8, 2  # modes above the band that those inside may be coupled with, and of these the ones told apart
-ON_DIAGONAL = np.sqrt(1.5)  # change of a mode itself, relative to a coupling of two modes
+ON_DIAGONAL = np.sqrt(OWN)  # change of a mode itself, relative to a coupling of two modes
 BLOCK = 100  # patterns at once
 KNOWN = 0.3  # standard deviation of the logarithm of its size once that is learnt
 

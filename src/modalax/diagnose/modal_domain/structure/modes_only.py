@@ -104,9 +104,7 @@ def flexibility_above(frequencies: np.ndarray, shapes: np.ndarray) -> np.ndarray
         power = float(np.clip(slope, *POWERS))
     size = (shapes[:, upper] ** 2).mean(axis=1)
     last = len(frequencies)
-    tail = (
-        last * (1 + 0.5 / last) ** (1 - 2 * power) / (2 * power - 1)
-    )  # of the sum of (s / N)^(-2p), begun half before
+    tail = last * (1 + 0.5 / last) ** (1 - 2 * power) / (2 * power - 1)  # sum of (s / N)^(-2p) as an integral
     return size * tail / frequencies[-1] ** 2
 
 
