@@ -121,7 +121,8 @@ def diagnose(
     ----------
     measurement
         Runs of FRFs, of any form; force levels [N] where joints are in question. Or modes alone, a
-        :class:`modalax.model.mode_table.ModeTable`, against matrices: chi-squares and gain then do not exist (NaN).
+        :class:`modalax.model.mode_table.ModeTable`, against matrices or real modes: chi-squares and gain then do not
+        exist (NaN).
     simulation
         What was expected; its DoFs hold all measured ones by name, in either direction (``8:-Z`` is ``8:+Z`` turned).
         An extended simulation keeps what it has, at the parameters it has, and what is found comes on top.

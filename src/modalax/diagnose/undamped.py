@@ -17,7 +17,7 @@ from modalax.diagnose.modal_domain.modes.measured import identify
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, coordinates_of
 from modalax.model import ModalModel, Structure
 from modalax.model.modal import poles_from
-from modalax.model.mode_table import ModeTable
+from modalax.model.mode_table import UNTOLD, ModeTable
 
 LEAST = 1e-5  # damping ratio below which a mode has none; the least damped structures have a few times that
 
@@ -39,9 +39,12 @@ def with_damping(
         c = None
         damped = not isinstance(simulation, ModalModel) or bool((np.asarray(simulation.damping_ratio) > LEAST).any())
     ratio = None if damped else median_ratio(measured, c, tell)
+    of = "the median ratio of those measured"
+    if ratio is None and not damped and isinstance(measured, ModeTable):  # neither tells; some ratio has to stand there
+        ratio, of = UNTOLD, "as the measured modes tell none either; damping is not compared"
     if ratio is None:
         return simulation, ""
-    said = f"the simulation has no damping; its modes were given {percent(ratio)}, the median ratio of those measured"
+    said = f"the simulation has no damping; its modes were given {percent(ratio)}, {of}"
     if c is not None:
         left = np.asarray(simulation.M) @ c.shapes[:, :-1]  # but for the spare coordinate
         C = left @ ((2 * ratio * c.frequencies[:-1])[:, None] * left.T)

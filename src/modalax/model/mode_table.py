@@ -13,6 +13,7 @@ from modalax.model.modal import ModalModel
 # Relative standard deviations of frequency and damping ratio, and that of a shape's components relative to the largest,
 # where nobody states them: what careful modal tests repeat to.
 USUAL = (0.002, 0.1, 0.03)
+UNTOLD = 0.01  # damping ratio that stands for one that nobody has measured; nothing is compared with it
 
 
 @dataclass(frozen=True)

@@ -138,6 +138,7 @@ def test_a_mass_is_named_beside_elements_that_are_off(wanted):
     again = np.asarray(found.extended.frf(m.freq, form=m.form, outputs=m.outputs, inputs=m.inputs).H)
     told = found.predicted_after[0]  # without what further modes add it would be 0.11
     assert (np.abs(again - told) / np.abs(told)).mean() < 0.07
+    assert not found.extended.base.fitted  # but one of a structure: given back, it is a simulation and no fit
 
 
 def test_no_cause_is_named_where_elements_are_off_and_nothing_else_is():

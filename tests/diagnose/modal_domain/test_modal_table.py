@@ -4,15 +4,16 @@ import json
 
 import numpy as np
 import pytest
+import scipy.linalg
 
 import modalax
 from modalax.cli import main
-from modalax.diagnose import diagnose
+from modalax.diagnose import catalogue, diagnose
 from modalax.diagnose.modal_domain.fitting.inaccuracy import inaccuracy_of
 from modalax.diagnose.modal_domain.fitting.state import Setting, state_at
 from modalax.diagnose.modal_domain.modes.features import whitener_of
 from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
-from modalax.diagnose.modal_domain.table import facts_of, references
+from modalax.diagnose.modal_domain.table import facts_of, references, unlike
 from modalax.files import load_mode_table, save_modes
 from modalax.model import ModalModel, Structure
 from modalax.model.mode_table import ModeTable
@@ -69,13 +70,56 @@ def test_what_a_table_of_modes_shows(case, cause):
     assert "no gain can be told" in str(found)
 
 
+def lowest_modes(structure: Structure, count: int = 8, ratio: float = 0.01) -> ModalModel:
+    """What a program gives that exports modes and no matrices."""
+    values, phi = scipy.linalg.eigh(np.asarray(structure.K), np.asarray(structure.M))
+    f = np.sqrt(values[:count]) / 2 / np.pi
+    return ModalModel.from_real_modes(f, np.full(count, ratio), phi[:, :count].T, np.ones(count), DOFS)
+
+
+def test_a_table_is_compared_with_modes_too():
+    """The signs refer to a sensor that is exchanged with another, so that all elements seem off; by another all fit."""
+    some = [c for c in catalogue() if c.slug == "channel_swap"]
+    found = diagnose(measured("swap", 3), lowest_modes(chain()), causes=some)
+    (cause,) = found.to_dict()["causes"]
+    assert found.verdict == "named" and (cause["name"], set(cause["where"])) == ("channel_swap", {"3:+Z", "6:+Z"})
+    assert found.inaccuracy["stiffness"]["value"] < 0.02 and isinstance(found.extended.base, ModalModel)
+
+
+def test_complex_modes_are_refused():
+    modes = lowest_modes(chain())
+    turned = modes.replace(shapes=modes.shapes * np.exp(1j * np.linspace(0, 1, N)))
+    with pytest.raises(ValueError, match="those of the simulation are complex"):
+        diagnose(measured("none"), turned)
+
+
+@pytest.mark.parametrize("simulation", [Structure(np.eye(N), np.zeros((N, N)), chain().K, DOFS),
+                                        lowest_modes(chain(), ratio=0.0)])  # fmt: skip
+def test_damping_that_neither_table_nor_simulation_tells_is_not_compared(simulation):
+    table = measured("none", 1)
+    found = diagnose(ModeTable.of(table.frequency_hz, np.nan, table.shapes, DOFS), simulation)
+    assert found.verdict == "clean" and found.inaccuracy["stiffness"]["value"] < 0.02
+    assert any("damping is not compared" in reason for reason in found.reasons)
+
+
+def test_a_cause_that_signs_by_another_sensor_have_no_room_for_has_no_name():
+    spring, nothing = (
+        diagnose(measured(case), chain(), causes=[c for c in catalogue() if c.slug == "joint_stiffness"])
+        for case in ("spring", "none")
+    )
+    assert spring.verdict == "named" and unlike(spring, [spring]) is spring and unlike(nothing, [spring]) is nothing
+    told = unlike(spring, [nothing])
+    assert told.verdict == "unknown" and "joint_stiffness" in told.reasons[-1] and "no cause" in told.reasons[-1]
+
+
 def test_usual_errors_are_said_and_wrong_ones_refused():
     table = measured("none")
-    assert "usual ones, since none are told" in diagnose(table, chain()).to_dict()["notes"][0]
+    found = diagnose(table, chain())
+    assert "usual ones, since none are told" in found.to_dict()["notes"][0]
     with pytest.raises(ValueError, match="three between 0 and 1 are needed"):
         diagnose(table, chain(), modal_std=(0.001, 0.1, -1.0))
-    with pytest.raises(ValueError, match="compared with matrices"):
-        diagnose(table, chain().modal())
+    with pytest.raises(ValueError, match="compared with matrices or modes, not with an? ExtendedSimulation"):
+        diagnose(table, found.extended)
     other = ModeTable.of(table.frequency_hz, table.damping_ratio, table.shapes, [f"x{k}" for k in range(N)])
     with pytest.raises(ValueError, match="DoFs x0, x1, x2, x3 of the modes are not in the simulation"):
         diagnose(other, chain())

@@ -26,7 +26,7 @@ from modalax.diagnose.modal_domain.records.forced import Forced
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.structure.coordinates import modes_of
 from modalax.diagnose.modal_domain.structure.many_lines import receptance
-from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, between_drives
 from modalax.model import ModalModel, Structure
 
 DRAWS, BESIDE = 16, 24  # draws of the sizes of the inaccuracy, and of its parts for each
@@ -64,13 +64,15 @@ def corrected(stage: Stage, f: Fit) -> Structure | ModalModel:
 def _corrected_modes(stage: Stage, simulation: ModesOnly, f: Fit) -> ModalModel:
     """Modes alone, corrected: those of their changed modal matrices.
 
-    What further modes add is a residual term of the measured FRFs, on which what comes on top does not act.
+    What further modes add is a residual term, on which what comes on top does not act. As measured columns at drive
+    points tell it for all DoFs, the model stays one of a structure, which a residual term of some FRFs is not.
     """
     c, m = stage.setting.coordinates, stage.measurement
     spare = np.arange(c.size) >= c.size - c.spares - c.local
     rows, columns = ([simulation.dofs.index(name) for name in names] for names in (m.outputs, m.inputs))
-    upper = np.zeros((len(simulation.dofs),) * 2)
-    upper[np.ix_(rows, columns)] = (c.outputs[:, spare] / c.frequencies[spare] ** 2) @ c.inputs[:, spare].T
+    flexible = np.zeros((len(simulation.dofs),) * 2)
+    flexible[np.ix_(rows, columns)] = (c.outputs[:, spare] / c.frequencies[spare] ** 2) @ c.inputs[:, spare].T
+    above = between_drives(flexible, [k for k in columns if k in rows])
     change = off_by(stage.setting, f.sizes, f.causes, f.u)
     for cause, value in with_sizes(f.causes, f.u):
         if cause.in_structure and cause.local:
@@ -83,7 +85,7 @@ def _corrected_modes(stage: Stage, simulation: ModesOnly, f: Fit) -> ModalModel:
     some = np.abs(shapes).max(axis=1) > SEEN * np.abs(shapes).max()
     rigid = modes.low[0][modes.low[1] < (RIGID * c.frequencies[-1]) ** 2] @ c.shapes.T
     return ModalModel(
-        own[some], shapes[some], shapes[some], outputs=simulation.dofs, inputs=simulation.dofs, upper=upper,
+        own[some], shapes[some], shapes[some], outputs=simulation.dofs, inputs=simulation.dofs, upper=above @ above.T,
         lower=rigid.T @ rigid,
     )  # fmt: skip
 

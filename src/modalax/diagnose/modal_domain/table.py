@@ -26,15 +26,18 @@ from modalax.diagnose.modal_domain.modes.features import FLOOR, Features, tangen
 from modalax.diagnose.modal_domain.search.explain import explain
 from modalax.diagnose.modal_domain.stage import Stage
 from modalax.diagnose.modal_domain.structure.coordinates import coordinates_of
-from modalax.model import Structure
+from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation, modes_only
+from modalax.diagnose.summary import cause_at
+from modalax.model import ModalModel, Structure
 from modalax.model.entry import check_passive
-from modalax.model.mode_table import USUAL, ModeTable
+from modalax.model.mode_table import UNTOLD, USUAL, ModeTable
 
 UNSCALED = 30.0  # standard deviation of ln size where a shape has no scale
 UNMEASURED = 3.0  # of ln damping where no damping ratio is told
 SEEN = 5.0  # standard deviations by which the reference DoF moves in every mode that is compared
 ABOVE = 1.02  # end of the band over the highest mode told
 TRIED = 3  # DoFs to which signs may refer, one after the other
+EACH = 0.5  # share of the time left that is spent on each of them
 
 
 @dataclass(frozen=True)
@@ -61,18 +64,25 @@ def by_table(
     table: ModeTable, simulation: object, causes: Sequence[Cause] | None, usual: tuple[float, float, float] | None,
     time: float, tell: Callable[[str], None],
 ) -> ModalDiagnosis:  # fmt: skip
-    """Diagnose by modes alone; ``ValueError`` if the simulation is not one of matrices."""
-    if not isinstance(simulation, Structure):
-        raise ValueError(f"modes alone are compared with matrices, not with a {type(simulation).__name__}")
-    check_passive(simulation)
+    """Diagnose by modes alone; ``ValueError`` if the simulation is neither of matrices nor of real modes."""
+    compared = modes_only(simulation) if isinstance(simulation, ModalModel) else simulation
+    if compared is None:
+        raise ValueError(
+            "modes alone are compared with matrices, or with real modes whose modal masses are known; those of the "
+            "simulation are complex, or it has no DoF that is both output and input"
+        )
+    if not isinstance(compared, Structure | ModesOnly):
+        raise ValueError(f"modes alone are compared with matrices or modes, not with an {type(simulation).__name__}")
+    if isinstance(compared, Structure):
+        check_passive(compared)
     slugs = None if causes is None else {c.slug for c in causes}
     return diagnose_table(
-        table, simulation, usual=usual, budget=time, wanted=lambda s: slugs is None or s in slugs, tell=tell
+        table, compared, usual=usual, budget=time, wanted=lambda s: slugs is None or s in slugs, tell=tell
     )
 
 
 def diagnose_table(
-    table: ModeTable, simulation: Structure, *, usual: tuple[float, float, float] | None = None,
+    table: ModeTable, simulation: Simulation, *, usual: tuple[float, float, float] | None = None,
     budget: float = 120.0, wanted: Callable[[str], bool] = lambda _: True,
     tell: Callable[[str], None] = lambda _: None,
 ) -> ModalDiagnosis:  # fmt: skip
@@ -98,23 +108,45 @@ def diagnose_table(
     stds = USUAL if usual is None else usual
     if len(stds) != 3 or not all(np.isfinite(s) and 0 < s < 1 for s in stds):
         raise ValueError(f"standard deviations of modes are {stds}; three between 0 and 1 are needed")
-    late = Deadline(budget)
-    answer = None
+    late, answers = Deadline(budget), []
     for reference in references(table, stds[2]):
         # A sensor that is faulty itself is no reference for the others; another may be.
         facts, notes = facts_of(table, stds, reference, usual is not None)
         tell(f"comparing the modes with those of the simulation, signs by {facts.inputs[0]}")
-        found = _answer(_staged(facts, simulation, wanted, late, tell), notes)
-        if answer is None or found.verdict != "unknown":
-            answer = found
-        if answer.verdict != "unknown" or late():
+        answers.append(_answer(_staged(facts, simulation, wanted, late.part(EACH), tell), notes))
+        if not _far_off(answers[-1]) or late():
             break
-    assert answer is not None
-    return answer
+    best = min(answers, key=lambda found: (found.verdict == "unknown", found.inaccuracy["stiffness"]["value"]))
+    return unlike(best, [found for found in answers if found is not best]) if _far_off(best) else best
+
+
+def _far_off(found: ModalDiagnosis) -> bool:
+    """Whether elements are off by more than is usual beside what explains the modes, or nothing explains them."""
+    least, usual = found.inaccuracy["stiffness"]["interval"][0], found.stage.setting.inaccuracy.usual[0]
+    return found.verdict == "unknown" or least > usual
+
+
+def unlike(best: ModalDiagnosis, others: list[ModalDiagnosis]) -> ModalDiagnosis:
+    """The answer, unknown where signs by another DoF, and the modes that it sees, have no room for its causes."""
+    leads = _leading(best.causes)
+    for other in others if best.verdict in ("named", "ambiguous") else ():
+        if not leads <= _leading([*other.causes, *(c for one in other.alternatives for c in one)]):
+            said = "; ".join(
+                f"{' and '.join(cause_at(*c) for c in sorted(_leading(found.causes))) or 'no cause'} where signs refer "
+                f"to {found.comparison.measurement.inputs[0]}"
+                for found in (best, other)
+            )
+            return replace(best, verdict="unknown", reasons=(*best.reasons, f"what stands out is not sure: {said}"))
+    return best
+
+
+def _leading(causes: Sequence[Any]) -> set[tuple[str, tuple[str, ...]]]:
+    """Names and places of causes."""
+    return {(c["name"], tuple(sorted(c["where"]))) for c in causes}
 
 
 def _staged(
-    facts: TableFacts, simulation: Structure, wanted: Callable[[str], bool], late: Deadline,
+    facts: TableFacts, simulation: Simulation, wanted: Callable[[str], bool], late: Deadline,
     tell: Callable[[str], None],
 ) -> Stage:  # fmt: skip
     highest = 2 * np.pi * float(facts.freq[-1])
@@ -175,7 +207,7 @@ def facts_of(
         notes.append(f"modes at {left} are left out: they hardly move at {table.dofs[reference]}, to which signs refer")
     frequency, zeta = table.frequency_hz[kept], table.damping_ratio[kept]
     stated_f, stated_z = table.frequency_std[kept], table.damping_std[kept]
-    known = np.where(np.isnan(zeta), 0.01, np.maximum(zeta, 1e-6))
+    known = np.where(np.isnan(zeta), UNTOLD, np.maximum(zeta, 1e-6))
     omega = 2 * np.pi * frequency
     poles = -known * omega + 1j * omega * np.sqrt(1 - known**2)
     shapes = table.shapes[kept] / size[kept, None]

@@ -84,7 +84,8 @@ def modes_only(model: ModalModel) -> ModesOnly | None:
     far = FAR * frequencies[-1]
     drives = [dofs.index(name) for name in model.drive_points()]
     rigid, above = (
-        _factor(np.asarray(model._residual(term, dofs, dofs)).real, drives) for term in (model.lower, model.upper)
+        between_drives(np.asarray(model._residual(term, dofs, dofs)).real, drives)
+        for term in (model.lower, model.upper)
     )
     count = rigid.shape[1], above.shape[1]
     return ModesOnly(
@@ -108,8 +109,8 @@ def flexibility_above(frequencies: np.ndarray, shapes: np.ndarray) -> np.ndarray
     return size * tail / frequencies[-1] ** 2
 
 
-def _factor(term: np.ndarray, drives: list[int]) -> np.ndarray:
-    """F with ``F F'`` a residual term between DoFs, as far as its columns at drive points tell; shape ``(dof, r)``."""
+def between_drives(term: np.ndarray, drives: list[int]) -> np.ndarray:
+    """F with ``F F'`` a residual term of all DoFs, by its columns at drive points; shape ``(dof, r)``."""
     own = term[np.ix_(drives, drives)]
     values, vectors = np.linalg.eigh((own + own.T) / 2)
     kept = values > RANK * max(values[-1], 1e-300)
