@@ -128,6 +128,8 @@ def without_joint(
     free = H.copy()
     free[measured.runs] -= taken
     again = reidentified(measured, free, j.tolerance * np.abs(taken))
+    if not len(again.features.poles):  # the force that was taken out is none that leaves modes
+        return again, setting
     other = [force_taken(seen, level, measured.runs, p) for p in _within_deviation(j.fit)]
     inexact = [(1 + j.tolerance * way) * taken for way in (1, 1j)]
     features = _widened(again, H, other, inexact)
