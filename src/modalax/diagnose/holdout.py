@@ -21,11 +21,12 @@ RESAMPLED = 400  # draws of blocks of lines for the standard deviation of the ga
 
 def held_out_block(
     level: np.ndarray, inputs: tuple[str, ...], shape: tuple[int, ...], lines: int, alike: bool = True,
-    foretold: bool = True,
+    foretold: bool = True, lowest: bool = False,
 ) -> tuple[str, np.ndarray]:  # fmt: skip
     """Choose the block that is held out, and mark it in a mask of shape ``(run, f, o, i)``.
 
-    It is the highest force level with all its runs, else a repeat, else a column, else every fourth stretch of lines.
+    It is the highest force level with all its runs, or the lowest, else a repeat, else a column, else every fourth
+    stretch of lines.
 
     Parameters
     ----------
@@ -39,6 +40,8 @@ def held_out_block(
         True number of lines.
     alike
         Whether runs differ by their level only; others have parameters of their own and cannot be held out.
+    lowest
+        Whether it is the lowest level, as of what was fitted from the highest on.
     foretold
         Whether the other columns tell enough of the last to foretell it.
     """
@@ -46,10 +49,11 @@ def held_out_block(
     runs, n_in = shape[0], len(inputs)
     known = bool(np.isfinite(level).all())
     if alike and known and len(np.unique(level)) > 1:
-        top = np.flatnonzero(level == level.max())
-        mask[top] = True
-        which = f"run{'s' * (len(top) > 1)} {', '.join(str(k + 1) for k in top)}"
-        return f"{which} at {level.max():.4g} N, the highest level", mask
+        end = level.min() if lowest else level.max()
+        some = np.flatnonzero(level == end)
+        mask[some] = True
+        which = f"run{'s' * (len(some) > 1)} {', '.join(str(k + 1) for k in some)}"
+        return f"{which} at {end:.4g} N, the {'lowest' if lowest else 'highest'} level", mask
     if alike and runs > 1:
         mask[-1] = True
         return f"run {runs}, the last repeat", mask

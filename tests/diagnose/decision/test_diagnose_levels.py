@@ -19,6 +19,8 @@ DRIFT = LevelsCase("drift", "runs", 4.0, drift=0.002, drifting=0.96)
         (LevelsCase("nothing"), "clean", []),
         (JOINT, "named", ["the force levels differ", "across 3 - 5, it stiffens", "cubic_stiffness at 3 - 5"]),
         (replace(JOINT, after=1.6), "unknown", ["differ", "it stiffens", "no law explains it (chi-square 1.6"]),
+        (replace(JOINT, before=70.0, after=1.6), "ambiguous", ["", "", "cubic", "leaves 9.3 % of the differences"]),
+        (replace(JOINT, before=70.0, after=1.8), "unknown", ["", "", "no law explains it (chi-square 1.8"]),
         (replace(JOINT, nameless=0.51), "unknown", ["differ", "it stiffens", "none of the laws that have a name"]),
         (replace(JOINT, nameless=0.5), "named", ["differ", "it stiffens", "(probability 0.970 of the law, 0.920"]),
         (replace(JOINT, law_probability=0.94), "ambiguous", ["differ", "", "cubic", "other laws cannot be excluded"]),

@@ -45,6 +45,8 @@ class OddChannel:
     along, share
         A DoF at which a share of the force also acts, or along which the sensor also measures; none where ``along`` is
         empty, as what is odd about the channel is not known.
+    turned
+        Whether that is another direction of the channel's own point, so that it is turned towards it.
     """
 
     name: str
@@ -52,6 +54,7 @@ class OddChannel:
     nats: float
     along: str = ""
     share: float = 0.0
+    turned: bool = False
 
     @property
     def said(self) -> str:
@@ -65,8 +68,10 @@ class OddChannel:
                 f"{it}, {check}"
             )
         does = f"{self.share:.3g} of it also acted at" if self.force else f"it also measured {self.share:.3g} of"
+        turned = f", as one turned by {math.degrees(math.atan(abs(self.share))):.3g} degrees" if self.turned else ""
         return (
-            f"the FRFs {where} are those of the simulation if {does} {self.along} {likelier}: check how {it} is aligned"
+            f"the FRFs {where} are those of the simulation if {does} {self.along}{turned} {likelier}: check how {it} "
+            "is aligned"
         )
 
 

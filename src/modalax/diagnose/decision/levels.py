@@ -1,5 +1,6 @@
 """The verdict about differences between force levels or runs: a joint, a drift, or none."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -61,6 +62,11 @@ class LevelsCase:
     holds: tuple[float, float] | None = None
 
     @property
+    def missed(self) -> float:
+        """Share of the differences, as a root mean square over that of all, which the explanation leaves."""
+        return math.sqrt(max(self.after - 1.0, 0.0) / max(self.before, 1e-300))
+
+    @property
     def observed(self) -> tuple[str, ...]:
         """What was seen, before any explanation."""
         differ = f"the {self.kind} differ beyond their noise (chi-square {self.before:.3g} per sample of these)"
@@ -107,7 +113,7 @@ def joints_were_not_tried(case: LevelsCase) -> tuple[str, ...] | None:
 
 def nothing_explains(case: LevelsCase) -> tuple[str, ...] | None:
     """Every law of a joint, or a drift, leaves too much of the differences."""
-    if case.after <= THRESHOLDS.unexplained:
+    if case.after <= THRESHOLDS.unexplained or (case.best == "joint" and case.missed < THRESHOLDS.inexact):
         return None
     what = "no law" if case.best == "joint" else "neither a joint nor a shift of the frequencies from run to run"
     return *case.observed, f"{what} explains it (chi-square {case.after:.3g} per sample is left)"
@@ -138,6 +144,14 @@ def force_is_not_explained_well(case: LevelsCase) -> tuple[str, ...] | None:
     return *case.support, f"it explains the force there to {percent(case.inexact)} only: law and place are not certain"
 
 
+def more_than_noise_is_left(case: LevelsCase) -> tuple[str, ...] | None:
+    """What is left of large differences is small beside them, but no noise."""
+    if case.best != "joint" or case.after <= THRESHOLDS.unexplained:
+        return None
+    left = f"{percent(case.missed)} of the differences, more than noise (chi-square {case.after:.3g} per sample)"
+    return *case.support, f"it leaves {left}: law and place are not certain"
+
+
 def place_is_not_sure(case: LevelsCase) -> tuple[str, ...] | None:
     """Other places are likely too."""
     sure = case.best != "joint" or case.place_probability >= THRESHOLDS.placed
@@ -152,6 +166,7 @@ RULES: tuple[tuple[str, Rule], ...] = (
     ("ambiguous", drift_is_not_sure),
     ("ambiguous", law_is_not_sure),
     ("ambiguous", force_is_not_explained_well),
+    ("ambiguous", more_than_noise_is_left),
     ("ambiguous", place_is_not_sure),
     ("named", lambda case: case.support),
 )

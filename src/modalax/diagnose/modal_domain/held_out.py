@@ -32,8 +32,8 @@ BESIDE = 5.0  # half-bandwidths by which a mode may move once a block is held ou
 def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     """Fit again without the held-out block and compare on it; ``before`` is the simulation's FRF, ``(f, o, i)``.
 
-    With three force levels that is the highest whatever was found, but a drift from run to run, which tells nothing of
-    a further run.
+    With three force levels that is the highest whatever was found (beside a joint that is told from the highest on the
+    lowest), but a drift from run to run, which tells nothing of a further run.
     """
     m, seen = stage.measurement, stage.seen
     H, sigma, level = np.asarray(m.H), stage.measured.noise.sigma, np.asarray(m.level)
@@ -44,7 +44,8 @@ def gain_of(stage: Stage, found: Explanation, before: np.ndarray) -> Gain:
     lacking = any(c.freed is not None for c in found.causes)  # of a further column its shape tells nothing
     exchanged = any(c.at_inputs and len(c.where) > 1 and m.inputs[-1] in c.where for c in found.causes)
     column = not lacking and not exchanged and last_is_foretold(stage.measured.features)
-    words, mask = held_out_block(level, m.inputs, H.shape, H.shape[1], alike, column)
+    fitted_down = joint is not None and seen is not None and seen.levels.force[0] > seen.levels.force[-1]
+    words, mask = held_out_block(level, m.inputs, H.shape, H.shape[1], alike, column, fitted_down)
     beyond = float("nan")
     if joint is None or seen is None:
         rest = _rest(stage, mask)

@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.levels import explain
 from modalax.diagnose.modal_domain.levels.answer import causes_told
 from modalax.diagnose.modal_domain.levels.balance import ORDERS
-from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection
+from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, by_level
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
 from modalax.diagnose.modal_domain.levels.laws import LOWER, LawFit, regressed, stiffness_of, with_fewer
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
@@ -94,6 +94,14 @@ def test_runs_that_agree_say_nothing_of_joints(structure):
     assert found.verdict == "clean"
     assert found.stage.seen.found.best == "nothing"
     assert found.gain.held_out == "run 3 at 6 N, the highest level"
+
+
+def test_levels_begin_with_that_of_the_linear_model():
+    H, sigma = np.arange(4.0).reshape(4, 1, 1, 1) + 0j, np.ones((4, 1, 1, 1))
+    level = np.array([3.0, 1.0, 8.0, 3.0])
+    up, down = by_level(H, sigma, level, 1.0), by_level(H, sigma, level, 8.0)
+    assert up.force.tolist() == [1.0, 3.0, 8.0] and down.force.tolist() == [8.0, 3.0, 1.0]
+    assert down.H.ravel().tolist() == [2.0, 1.5, 1.0] and down.of_runs(level).tolist() == [1, 2, 0, 1]
 
 
 def test_noise_is_no_force_however_many_lines_there_are():

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from modalax.data import Measurement
 from modalax.diagnose.modal_domain.modes.bent_peaks import bent, one_each, widened
 from modalax.diagnose.modal_domain.modes.beside_band import DAMPING, gains_beside, with_modes_beside
 from modalax.diagnose.modal_domain.modes.features import Features, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.modes.free_residues import Channels, project
-from modalax.diagnose.modal_domain.modes.measured import alike_runs
+from modalax.diagnose.modal_domain.modes.measured import alike_runs, identify
 from modalax.diagnose.modal_domain.modes.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.modes.relocation import relocated
 
@@ -78,10 +79,26 @@ def test_levels_that_bend_one_narrow_peak_are_not_averaged():
     level = np.array([1.0, 2.0, 4.0])
     runs, unlike = alike_runs(H + noise, sigma, level)
     assert list(runs) == [0] and unlike < 1.05
+    assert list(alike_runs(H + noise, sigma, level, highest=True)[0]) == [2]
     same = H[[0, 0, 0]] + noise
     same[1, 148] *= 1.3
     assert list(alike_runs(same, sigma, level)[0]) == [0, 1, 2]
     assert list(alike_runs(same, sigma / np.sqrt(1.04), level)[0]) == [0, 1, 2]  # as of variances that are estimated
+
+
+@pytest.mark.parametrize("bent", [0, 2, None])
+def test_of_levels_that_differ_the_one_that_modes_explain_is_identified(bent):
+    """The lowest where it is bent no more than the highest: at ``bent`` one side of a peak is larger, else all are."""
+    rng, level = np.random.default_rng(7), np.array([1.0, 2.0, 4.0])
+    plain = frf_of(poles_of([20.0, 45.0], [0.01, 0.01]), np.random.default_rng(8)).reshape(len(S), 5, 2)
+    side = (1 + 0.3 * (S.imag > 2 * np.pi * 20.0) * np.exp(-(((S.imag / 2 / np.pi - 20.0) / 0.3) ** 2)))[:, None, None]
+    H = np.stack([plain * (side if bent in (k, None) else 1.0) * (1 + 0.01 * k) for k in range(3)])
+    sigma = 1e-3 * np.sqrt((np.abs(H) ** 2).mean(axis=(0, 1))) * np.ones(H.shape)
+    H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    outputs, inputs = [f"{k}:+Z" for k in range(1, 6)], ["1:+Z", "2:+Z"]
+    freq = S.imag / 2 / np.pi
+    data = Measurement(freq, H, form="accelerance", outputs=outputs, inputs=inputs, level=level, variance=sigma**2)
+    assert list(identify(data, None).runs) == [2 if bent == 0 else 0]
 
 
 def test_a_peak_that_no_poles_make_is_no_mode():

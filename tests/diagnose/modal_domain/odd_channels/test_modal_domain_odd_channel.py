@@ -175,3 +175,48 @@ def test_a_mass_at_a_sensor_is_no_fault_of_that_sensor():
     found = diagnose_modes(data, simulation())
     assert found.stage.odd is None
     assert [(c["name"], c["where"]) for c in found.to_dict()["causes"]] == [("added_mass", [DOFS[8]])]
+
+
+PLANE = [f"{k}:+{axis}" for k in range(1, 5) for axis in "XZ"]
+AT = np.array([[0.0, 0.0], [1.0, 0.0], [1.1, 0.9], [0.1, 1.0], [-1.0, -0.6], [1.9, -0.8], [0.4, 2.0]])  # last: ground
+BARS = [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (0, 4), (1, 5), (3, 6), (2, 5), (1, 3)]
+
+
+def truss(off: np.ndarray) -> Structure:
+    """Four masses in a plane that bars hold, each of which is off by a factor."""
+    K, M = np.zeros((8, 8)), np.diag(np.repeat([1.0, 1.4, 0.8, 1.1], 2))
+    for (a, b), factor in zip(BARS, off, strict=True):
+        n = (AT[b] - AT[a]) / np.linalg.norm(AT[b] - AT[a])
+        B = np.zeros((8, 1))
+        B[2 * a : 2 * a + 2, 0] = n
+        if b < 4:
+            B[2 * b : 2 * b + 2, 0] = -n
+        K += 2e5 * factor * B @ B.T
+    return Structure(M, 3e-5 * K, K, PLANE)
+
+
+@pytest.mark.parametrize("angle", [25.0, 0.0])
+def test_a_sensor_turned_towards_another_that_is_measured_is_neither_crosstalk_nor_a_gain(angle):
+    """Its sine is the share and its cosine the gain; crosstalk of the same share without the gain stays crosstalk."""
+    rng = np.random.default_rng(4)
+    true, freq = truss(1 + 0.01 * rng.standard_normal(len(BARS))), np.linspace(30.0, 160.0, 400)
+    H = np.asarray(true.frf(freq, form="accelerance", inputs=["2:+X", "3:+Z"]).H)
+    sine, cosine = (np.sin(np.radians(angle)), np.cos(np.radians(angle))) if angle else (np.tan(np.radians(25.0)), 1.0)
+    H = np.concatenate([cosine * H[:, :1] + sine * H[:, 1:2], H[:, 1:]], axis=1)
+    sigma = 0.003 * np.sqrt((np.abs(H) ** 2).mean(axis=0))
+    H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    data = Measurement(freq, H[None], form="accelerance", outputs=PLANE, inputs=["2:+X", "3:+Z"],
+                       variance=np.broadcast_to(sigma**2, H.shape)[None].copy())  # fmt: skip
+    both = [("crosstalk", ("1:+X", "1:+Z")), ("channel_gain", ("1:+X",))]
+    stage = stage_of(data, truss(np.ones(len(BARS))), lambda c, _: (c.slug, c.where) in both)
+    found = {e.causes: e.fit for e in stage.explanations}
+    pair = tuple(c for name in both for c in stage.candidates if (c.slug, c.where) == name)
+    attempt(stage.setting, found, pair, np.array([1.0, -0.3]), None)
+    explanations = ranked_by(found, Prior(stage.candidates))
+    odd = askew_channel(stage.setting, explanations, PLANE, data.outputs, data.inputs)
+    if not angle:
+        assert odd is None and [c.slug for c in explanations[0].causes] == ["crosstalk"]
+        return
+    assert {c.slug for c in explanations[0].causes} == {"crosstalk", "channel_gain"}
+    assert odd is not None and (odd.name, odd.force, odd.along) == ("1:+X", False, "1:+Z") and "25" in odd.said
+    assert abs(odd.share / np.tan(np.radians(25.0)) - 1) < 0.03

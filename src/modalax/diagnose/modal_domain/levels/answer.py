@@ -84,8 +84,9 @@ def described(seen: Seen, j: JointFound) -> str:
     m = motion_of(seen.levels, seen.base, j.direction, j.fit.law, j.spot.within)
     N, A = stiffness_of(j.fit.law, m, j.fit.p), m.amplitude
     top = np.unravel_index(int(A.argmax()), A.shape)
-    change = complex(N[top] - N[(0, *top[1:])])
+    least = (int(A[(slice(None), *top[1:])].argmin()), *top[1:])
+    change = complex(N[top] - N[least])
     return (
-        f"from an amplitude of {A[(0, *top[1:])]:.2g} to one of {A[top]:.2g} m at {m.omega[top[1]] / 2 / np.pi:.4g} Hz "
+        f"from an amplitude of {A[least]:.2g} to one of {A[top]:.2g} m at {m.omega[top[1]] / 2 / np.pi:.4g} Hz "
         f"force over displacement changes by {change.real:.3g} N/m in phase and {change.imag:.3g} N/m in quadrature"
     )

@@ -38,7 +38,7 @@ BLOCK = 2e6  # numbers of a product of places, lines and outputs at once
 
 @dataclass(frozen=True)
 class Levels:
-    """Runs brought together by force level, by rising force.
+    """Runs brought together by force level, from that of the linear model on by rising or by falling force.
 
     Attributes
     ----------
@@ -56,6 +56,10 @@ class Levels:
         """Every so many lines."""
         return Levels(self.force, self.H[:, ::step], self.weight[:, ::step])
 
+    def of_runs(self, level: np.ndarray) -> np.ndarray:
+        """Which of these levels each run of a level [N] belongs to."""
+        return np.abs(self.force[:, None] - level).argmin(axis=0)
+
     @property
     def samples(self) -> int:
         """Real numbers in the changes from level to level."""
@@ -63,12 +67,13 @@ class Levels:
         return 2 * int(live.sum() - live.any(axis=0).sum())
 
 
-def by_level(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> Levels | None:
-    """Bring runs of one force level together; None where there are fewer than two levels."""
+def by_level(H: np.ndarray, sigma: np.ndarray, level: np.ndarray, first: float = 0.0) -> Levels | None:
+    """Bring runs of one force level together, in order from ``first`` [N]; None where there are fewer than two."""
     known = np.isfinite(level)
     force = np.unique(level[known])
     if len(force) < 2 or not known.all():
         return None
+    force = force[np.argsort(np.abs(force - first))]
     weight = np.where(sigma > 0, 2 / np.maximum(sigma, 1e-300) ** 2, 0.0)
     total = np.stack([weight[level == f].sum(axis=0) for f in force])
     mean = np.stack([(weight * H)[level == f].sum(axis=0) for f in force]) / np.maximum(total, 1e-300)

@@ -69,7 +69,7 @@ def look_at_levels(
     if len(H) < 2:
         return None
     tell("comparing the runs")
-    levels = by_level(H, measured.noise.sigma, level)
+    levels = by_level(H, measured.noise.sigma, level, float(np.mean(level[measured.runs])))
     base = base_of(setting, f, measured.freq, measured.channels.order)
     plain = by_run(H, measured.noise.sigma) if levels is None else levels
     step = -(-plain.H.size * max(len(measured.modes.poles), 1) // MOST)  # very large tests: some lines only
@@ -92,7 +92,7 @@ def at_levels(seen: Seen, j: JointFound, level: np.ndarray) -> np.ndarray:
     motion = motion_of(seen.levels, seen.base, j.direction, j.fit.law, j.spot.within)
     force = force_of(j.fit.law, motion, j.fit.p)
     every = np.concatenate([np.zeros_like(force[..., :1]), force], axis=2) + motion.first[..., None]
-    return seen.base.H + change_by(seen.base, j.direction, every)[np.searchsorted(seen.levels.force, level)]
+    return seen.base.H + change_by(seen.base, j.direction, every)[seen.levels.of_runs(level)]
 
 
 def drift_by_run(seen: Seen, measured: Measured, level: np.ndarray) -> np.ndarray | float:
@@ -100,8 +100,7 @@ def drift_by_run(seen: Seen, measured: Measured, level: np.ndarray) -> np.ndarra
     if seen.drift is None:
         return 0.0
     change = change_of(seen.drift, measured.modes, measured.channels).reshape(-1, *seen.levels.H.shape[1:])
-    force = seen.levels.force
-    return change[np.searchsorted(force, level)] if np.ptp(force) else change
+    return change[seen.levels.of_runs(level)] if np.ptp(seen.levels.force) else change
 
 
 def force_taken(seen: Seen, level: np.ndarray, used: np.ndarray, p: np.ndarray | None = None) -> np.ndarray:
@@ -116,7 +115,7 @@ def force_taken(seen: Seen, level: np.ndarray, used: np.ndarray, p: np.ndarray |
     m = motion_of(seen.levels, b, j.direction, j.fit.law, j.spot.within)
     N = stiffness_of(j.fit.law, m, p)
     force = N * m.moved(force_of(j.fit.law, m, p)) * m.turn / (1 - N[0] * (m.drive + m.compliance))
-    return change_by(b, j.direction, force.transpose(1, 2, 0))[np.searchsorted(seen.levels.force, level[used])]
+    return change_by(b, j.direction, force.transpose(1, 2, 0))[seen.levels.of_runs(level[used])]
 
 
 def without_joint(
@@ -222,7 +221,7 @@ def _widened(measured: Measured, H: np.ndarray, taken: list[np.ndarray], inexact
 
 
 def foretold(seen: Seen) -> np.ndarray | None:
-    """FRF ``(f, o, i)`` at the highest level by a law fitted to the others; None where those are fewer than two.
+    """FRF ``(f, o, i)`` at the level farthest from the linear model's by a law fitted to the others, if two or more.
 
     The amplitude is that of the lowest branch; nothing measured at that level enters.
     """

@@ -28,6 +28,8 @@ UNDERSTATED = 1.5  # chi-square per sample about a line from which stated varian
 INDEPENDENT = 0.9, 1.15  # scatter between lines over what modes leave where that is noise: 1 if white, 0 if smooth
 AROUND_LINE = 15  # lines that tell of the noise about one, and twice as many are needed
 EXPLAINED = 1.1  # chi-square per sample up to which modes explain the data
+DISTORTED = 2.0  # chi-square per sample that modes leave of the lowest level from which on the highest is tried,
+CLEARLY = 1.5  # which is taken where they leave so many times less of it
 UNLIKE = 1e-6  # chance under noise below which runs differ at three neighbouring lines, as where a peak is bent
 
 
@@ -75,10 +77,27 @@ class Measured:
 def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
     """Identify a measurement (no line at 0 Hz) blind; the simulation only stands for the modes beyond the band.
 
+    Of force levels that differ it is the lowest, at which stops are open and springs do not slip; or the highest, where
+    that is bent less: friction holds at low levels and slips freely at high ones.
+
     Raises ``ValueError`` where no mode stands out of the noise.
     """
+    lowest = _identified(measurement, c)
+    if lowest.misfit < DISTORTED or not lower_and_higher(measurement, lowest.runs):
+        return lowest
+    highest = _identified(measurement, c, highest=True)
+    return highest if CLEARLY * highest.misfit < lowest.misfit else lowest
+
+
+def lower_and_higher(measurement: Measurement, runs: np.ndarray) -> bool:
+    """Whether runs are those of one of several force levels."""
+    level = np.asarray(measurement.level)
+    return bool(np.isfinite(level).all()) and len(np.unique(level)) > 1 and len(np.unique(level[runs])) == 1
+
+
+def _identified(measurement: Measurement, c: Coordinates | None, highest: bool = False) -> Measured:
     H, order = np.asarray(measurement.H), DERIVATIVES[measurement.form]
-    channels, noise, runs, unlike = prepared(measurement, c)
+    channels, noise, runs, unlike = prepared(measurement, c, highest)
     modes = blind_modes(channels)
     beside = with_modes_beside(modes, channels)
     if beside is not channels:
@@ -146,14 +165,16 @@ def _shared(modes: Projected, channels: Channels, shape: tuple[int, ...]) -> flo
     return shared_noise(response, residual)
 
 
-def prepared(measurement: Measurement, c: Coordinates | None) -> tuple[Channels, Noise, np.ndarray, float]:
+def prepared(
+    measurement: Measurement, c: Coordinates | None, highest: bool = False
+) -> tuple[Channels, Noise, np.ndarray, float]:  # fmt: skip
     """FRFs to identify, their noise before any mode is known, the runs in them, and how unlike all runs are."""
     freq, H = np.asarray(measurement.freq), np.asarray(measurement.H)
     order = DERIVATIVES[measurement.form]
     s = 2j * np.pi * freq
     outside = np.zeros(0, complex) if c is None else _outside(c, abs(s[0]), abs(s[-1]))
     noise = noise_of(measurement, _first_guess(measurement, H))
-    runs, unlike = alike_runs(H, noise.sigma, np.asarray(measurement.level))
+    runs, unlike = alike_runs(H, noise.sigma, np.asarray(measurement.level), highest)
     channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
     return channels, noise, runs, unlike
 
@@ -276,10 +297,12 @@ def channels_of(s: np.ndarray, H: np.ndarray, sigma: np.ndarray, order: int, out
     return Channels(s, mean.reshape(flat), 2 * total.reshape(flat), order, outside)
 
 
-def alike_runs(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, float]:
+def alike_runs(
+    H: np.ndarray, sigma: np.ndarray, level: np.ndarray, highest: bool = False
+) -> tuple[np.ndarray, float]:  # fmt: skip
     """Runs that may be averaged, and how far all disagree: all where they agree, else those of the lowest level.
 
-    The first alone where those disagree as well.
+    Or of the highest. The first alone where those disagree as well.
     """
     runs = len(H)
     every = np.arange(runs)
@@ -294,7 +317,8 @@ def alike_runs(H: np.ndarray, sigma: np.ndarray, level: np.ndarray) -> tuple[np.
     somewhere = scipy.ndimage.median_filter(lines, 3) > OFF * scipy.stats.chi2.isf(UNLIKE / len(lines), own)
     if not somewhere.any() and (excess < ALIKE or chi2 < 1.05 * freedom):
         return every, chi2 / freedom
-    lowest = every[level == np.nanmin(level)] if np.isfinite(level).any() else every[:1]
-    if len(lowest) > 1:
-        lowest = lowest[alike_runs(H[lowest], sigma[lowest], np.full(len(lowest), np.nan))[0]]
-    return lowest, chi2 / freedom
+    end = np.nan if not np.isfinite(level).any() else np.nanmax(level) if highest else np.nanmin(level)
+    some = every[level == end] if np.isfinite(end) else every[:1]
+    if len(some) > 1:
+        some = some[alike_runs(H[some], sigma[some], np.full(len(some), np.nan))[0]]
+    return some, chi2 / freedom

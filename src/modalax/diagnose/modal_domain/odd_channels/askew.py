@@ -2,10 +2,11 @@ r"""Forces and sensors that are askew: a share of one also acts, or is seen, at 
 
 A hammer that hits obliquely, a shaker that also pushes another point: the force of input i acts along
 :math:`b_i + g b_d`, so that its column of the FRF matrix is :math:`H_{oi} + gH_{od}`. A sensor that is tilted moves as
-another direction of its node in the same way. Such a share has no name in the answer, but crosstalk, gains and masses
-imitate it. Each share is scored where the simulation is, linearised, beside an inaccuracy that is tolerated; for the
-leading ones the general inaccuracy is fitted with the structure seen by the channels so turned. Where that explains all
-by itself, only shares that promise something about its fit are looked at.
+another direction of its node in the same way, and so does a force: by one turned through :math:`\alpha` what is seen
+is :math:`\cos\alpha\,H_{oi} + \sin\alpha\,H_{di}`, with :math:`g = \tan\alpha`. Such a share has no name in the
+answer, but crosstalk, gains and masses imitate it. Each share is scored where the simulation is, linearised, beside an
+inaccuracy that is tolerated; for the leading ones the general inaccuracy is fitted with the structure seen by the
+channels so turned. Where that explains all by itself, only shares that promise something about its fit are looked at.
 """
 
 import math
@@ -81,40 +82,55 @@ def askew_channel(
         return None
     place, share, value = max(found, key=lambda f: f[2])
     name, nats = (inputs if place.force else outputs)[place.channel], value - best.log_posterior
-    return OddChannel(name, place.force, nats, dofs[place.dof], share) if nats > 0 else None
+    return OddChannel(name, place.force, nats, dofs[place.dof], share, place.turns) if nats > 0 else None
 
 
 @dataclass(frozen=True)
 class Place:
-    """A channel and a DoF at which a share of it may act or be seen; ``usual`` is a usual one."""
+    """A channel and a DoF at which a share of it may act or be seen.
+
+    Attributes
+    ----------
+    force, channel, dof
+        Whether it is an input, which one, and the DoF.
+    usual
+        A usual share.
+    turns
+        Whether the DoF is another direction of the channel's node, towards which it turns without growing.
+    """
 
     force: bool
     channel: int
     dof: int
     usual: float
+    turns: bool
 
     def at(self, setting: Setting, size: float) -> Setting:
         """The simulation by channels of which this one is askew, by a share over its usual size."""
         c = setting.coordinates
         rows = (c.inputs if self.force else c.outputs).copy()
-        rows[self.channel] += size * self.usual * c.shapes[self.dof]
+        share = size * self.usual
+        rows[self.channel] += share * c.shapes[self.dof]
+        rows[self.channel] /= math.hypot(1.0, share) if self.turns else 1.0
         return replace(setting, coordinates=replace(c, inputs=rows) if self.force else replace(c, outputs=rows))
 
 
 def _places(
     c: Coordinates, state: State, dofs: Sequence[str], outputs: Sequence[str], inputs: Sequence[str]
 ) -> list[Place]:
-    """Every input with every other DoF, and every output with those of its node at which there is no other output.
+    """Every input with every other DoF, and every output with those of its node.
 
+    Where there is another output in that direction, crosstalk is the same but for the cosine.
     A share of a rotation is a length, of which one moves the modes as much as one of a displacement does.
     """
     shapes = state.modes.vectors[state.pairs] @ c.shapes.T
     nodes, moves = nodes_of(tuple(dofs)), np.sqrt((np.abs(shapes) ** 2).mean(axis=0))
-    near = lambda own, dof: nodes.of_dofs[own] == nodes.of_dofs[dof] and dofs[dof] not in outputs
+    near = lambda own, dof: nodes.of_dofs[own] == nodes.of_dofs[dof]
+    turns = lambda own, dof: bool(near(own, dof) and max(nodes.axis[own], nodes.axis[dof]) < 3)
     usual = lambda own, dof: USUAL * (moves[own] / moves[dof] if nodes.axis[dof] > 2 else 1.0)
     shown = np.flatnonzero(moves > SHOWN * moves.max()).tolist()
     return [
-        Place(force, k, dof, float(usual(dofs.index(name), dof)))
+        Place(force, k, dof, float(usual(dofs.index(name), dof)), turns(dofs.index(name), dof))
         for force, names in ((True, inputs), (False, outputs)) for k, name in enumerate(names) for dof in shown
         if dofs[dof] != name and (force or near(dofs.index(name), dof))
     ]  # fmt: skip
@@ -168,10 +184,11 @@ def _nearest(
     setting: Setting, state: State, shrink: np.ndarray, place: Place, size: float
 ) -> tuple[float, float, Place]:
     """Least chi-square beyond the tolerated inaccuracy, the share over its usual size, and the place."""
-    moved, least = _moved(setting, state, place), math.inf
+    least, still = math.inf, state.modes.residues(setting.coordinates)
     for sizes in (np.array([-s for s in SIZES] + [*SIZES, size]), ABOUT, ABOUT**0.25):
         tried = sizes * (size if least < math.inf else 1.0)
-        left = distances(setting, shrink, [(state.modes.poles, state.plain + u * moved) for u in tried])
+        moved = [state.modes.residues(place.at(setting, u).coordinates) - still for u in tried]
+        left = distances(setting, shrink, [(state.modes.poles, state.plain + by) for by in moved])
         left = left + cost_of_size(tried)
         if left.min() < least:
             least, size = float(left.min()), float(tried[np.argmin(left)])
