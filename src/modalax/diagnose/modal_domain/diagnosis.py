@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.judged import judge, of_the_joint, on_its_lin
 from modalax.diagnose.modal_domain.levels.answer import judge_levels
 from modalax.diagnose.modal_domain.levels.seen import at_levels, drift_by_run
 from modalax.diagnose.modal_domain.modes.measured import Measured
+from modalax.diagnose.modal_domain.most_off import most_off
 from modalax.diagnose.modal_domain.odd_channels.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.records.forced import Forced, force_beside, force_said
 from modalax.diagnose.modal_domain.records.mains import lines_without_hum, mains_hum
@@ -222,7 +223,8 @@ def _diagnosed(
     explained = judged.likeliest.misfit <= THRESHOLDS.misfit and not (judged.odd is not None and judged.odd.along)
     throughout = throughout_told(stage.setting, judged.likeliest.fit) if explained else {}
     word = outweighing(judged.word, joined)
-    reasons = [inaccuracy_said(inaccuracy)] if explained else []
+    likeliest = judged.likeliest.fit
+    reasons = [inaccuracy_said(inaccuracy), *most_off(stage.setting, likeliest)] if explained else []
     reasons += [*throughout_said(throughout), *judged.reasons, *further]
     reasons += [
         f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"

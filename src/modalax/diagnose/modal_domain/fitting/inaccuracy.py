@@ -10,7 +10,7 @@ size of the change between them, modal dampings :math:`c_r` and :math:`c_s` coup
 :math:`\tfrac12\sin2\theta\,(c_r-c_s)`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -21,8 +21,8 @@ from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
 from modalax.diagnose.modal_domain.structure.factored import Factored, factored
 from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
-from modalax.diagnose.modal_domain.structure.nodes import Nodes
-from modalax.diagnose.modal_domain.structure.parts import apart, coupled_rows, parts_of
+from modalax.diagnose.modal_domain.structure.nodes import Nodes, nodes_of
+from modalax.diagnose.modal_domain.structure.parts import apart, coupled_rows, ends_of, parts_of
 from modalax.diagnose.modal_domain.structure.turns import nodes_at
 from modalax.model import Structure
 
@@ -66,6 +66,10 @@ class Inaccuracy:
         The patterns of each group by their directions; found where they are not given.
     elements
         Of ``stiffness`` and ``mass``, where a matrix shows elements in pieces, the number of each pattern's element.
+    places
+        Of each pattern of ``stiffness`` and ``mass`` that was read off a matrix, the DoFs that tell where it is.
+    kilograms
+        What each such pattern of ``mass`` weighs, shape ``(p,)`` [kg].
     between_modes
         Whether stiffness and mass are off as those of no elements: :mod:`.between_modes`.
     """
@@ -78,6 +82,8 @@ class Inaccuracy:
     positive: np.ndarray
     factors: tuple[Factored, ...] = ()
     elements: Mapping[str, np.ndarray] = field(default_factory=dict)
+    places: Mapping[str, Sequence[tuple[str, ...]]] = field(default_factory=dict)
+    kilograms: np.ndarray = field(default_factory=lambda: np.zeros(0))
     between_modes: bool = False
 
     def __post_init__(self) -> None:
@@ -94,10 +100,11 @@ def inaccuracy_of(simulation: Simulation, c: Coordinates, highest: float) -> Ina
     """Patterns of a structure whose band ends at ``highest`` [rad/s]."""
     shared = {name: np.zeros((0, c.size, c.size)) for name in WITHIN}
     elements: dict[str, np.ndarray] = {}
+    places: dict[str, list[tuple[str, ...]]] = {}
     if isinstance(simulation, ModesOnly):
-        stiffness, mass = between_modes(c, highest)
+        (stiffness, mass), kilograms = between_modes(c, highest), np.zeros(0)
     else:
-        stiffness, mass = _of_elements(simulation, c, shared, elements)
+        stiffness, mass, kilograms = _of_elements(simulation, c, shared, elements, places)
     claims = {"stiffness": _claim(simulation, "stiffness_std"), "mass": _claim(simulation, "mass_std"),
               "damping": _claim(simulation, "damping_std")}  # fmt: skip
     frequency = _claim(simulation, "frequency_std")
@@ -119,7 +126,7 @@ def inaccuracy_of(simulation: Simulation, c: Coordinates, highest: float) -> Ina
     every = Inaccuracy(
         (*TOLD, "damping between modes"), patterns, np.append(usual, usual[-1]),
         np.append(np.where(told, CLAIMED, UNKNOWN), UNKNOWN), (*told.tolist(), False), positive, elements=elements,
-        between_modes=isinstance(simulation, ModesOnly),
+        places=places, kilograms=kilograms, between_modes=isinstance(simulation, ModesOnly),
     )  # fmt: skip
     for name, couplings in shared.items():
         k = TOLD.index(name)
@@ -128,21 +135,25 @@ def inaccuracy_of(simulation: Simulation, c: Coordinates, highest: float) -> Ina
 
 
 def _of_elements(
-    simulation: Structure, c: Coordinates, shared: dict[str, np.ndarray], elements: dict[str, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Patterns of stiffness and mass by their elements; what neighbours share, and of which element each is, is added.
+    simulation: Structure, c: Coordinates, shared: dict[str, np.ndarray], elements: dict[str, np.ndarray],
+    places: dict[str, list[tuple[str, ...]]],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    """Patterns of stiffness and mass by their elements, and masses [kg]; what is told of each is added.
 
-    Elements that are told share nothing.
+    That is what neighbours share, of which element each is, and where. Elements that are told share nothing.
     """
     nodes = nodes_at(simulation)
     stiffness, mass = stiffness_patterns(simulation, c), mass_patterns(simulation, c)
     if stiffness is None:
         pieces = _pieces(np.asarray(simulation.K), nodes, mass=False)
         (stiffness, shared["stiffness"]), elements["stiffness"] = _patterns(pieces, c), _elements(pieces)
+        places["stiffness"] = _named(pieces, simulation, nodes)
     if mass is None:
         pieces = _pieces(np.asarray(simulation.M), nodes, mass=True)
         (mass, shared["mass"]), elements["mass"] = _patterns(pieces, c), _elements(pieces)
-    return stiffness, mass
+        places["mass"] = _named(pieces, simulation, nodes)
+        return stiffness, mass, _translated(pieces, nodes)
+    return stiffness, mass, np.zeros(0)
 
 
 def forces_of_errors(
@@ -185,6 +196,25 @@ def with_group(
         spread=np.append(a.spread, spread), claimed=(*a.claimed, claimed),
         positive=np.append(a.positive, np.full(len(patterns), positive)),
     )  # fmt: skip
+
+
+def _named(pieces: list[Part], simulation: Structure, nodes: Nodes) -> list[tuple[str, ...]]:
+    """Where each is, as causes are told: at two DoFs of one direction, or at one."""
+    axis, out = nodes_of(simulation.dofs).axis, []
+    for p in pieces:
+        ends = ends_of(p, nodes) if len(p.nodes) == 2 else ()
+        out.append(tuple(simulation.dofs[k] for k in ends or (p.dofs[np.argmin(axis[p.dofs])],)))
+    return out
+
+
+def _translated(pieces: list[Part], nodes: Nodes) -> np.ndarray:
+    """Mass [kg] of each as it moves in the direction in which it has most."""
+    out = []
+    for p in pieces:
+        axis, sign = nodes.axis[p.dofs], nodes.sign[p.dofs]
+        each = [sign[axis == x] @ p.matrix[np.ix_(axis == x, axis == x)] @ sign[axis == x] for x in set(axis[axis < 3])]
+        out.append(max(each, default=0.0))
+    return np.array(out)
 
 
 def _pieces(matrix: np.ndarray, nodes: Nodes, mass: bool) -> list[Part]:

@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.fitting.throughout import (
     with_groups,
     with_more,
 )
+from modalax.diagnose.modal_domain.search.heavy_elements import heavy_elements
 from modalax.diagnose.modal_domain.search.oscillators import acting_alike, attached, attached_beside
 from modalax.diagnose.modal_domain.search.refitted import (
     AGAIN,
@@ -121,6 +122,7 @@ def _searched(
         if not late():
             _without_a_gain(search)
             off_unevenly(search, late)
+            heavy_elements(search, late)
         if late():  # which may have cut the fit of what leads short: others are compared with it
             best = search.best
             attempt(replace(search.setting, late=NEVER), search.found, best.causes, best.u, best, gentle=False)
