@@ -1,5 +1,7 @@
 """Modes over the force level, beside modes that are set, and what is said of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import test_diagnose_evidence as plain
@@ -39,6 +41,12 @@ def test_modes_at_each_level_are_those_that_were_set_within_their_errors():
     change = [np.linalg.norm(H) for H in np.moveaxis(plain.frf(MOVED[2])[0] - plain.frf(MOVED[1])[0], 1, 0)]
     size = [np.linalg.norm(H) for H in np.moveaxis(plain.frf(MOVED[1])[0], 1, 0)]
     np.testing.assert_allclose(list(found["by_output"].values()), np.divide(change, size), rtol=0.02)
+
+
+def test_one_measured_mode_near_two_of_the_simulation_is_told_once():
+    c = levels(MOVED, [1.0, 4.0, 9.0])
+    near = np.concatenate([c.modes, c.modes[:, 1:2] * [[1.001], [1.0]]], axis=1)
+    assert len(over_levels(replace(c, modes=near))["modes"]) == len(over_levels(c)["modes"]) == 2
 
 
 def test_what_is_said_where_nothing_explains_the_data():

@@ -10,6 +10,7 @@ from modalax._numerics.text import percent
 from modalax.diagnose.evidence import Compared, local_pole
 from modalax.diagnose.thresholds import THRESHOLDS
 
+SAME = 0.1  # half-bandwidths within which two fits are of one mode
 PARTS = 5  # parts of the lines; each left out once tells how well a local fit is determined
 MODES, LEVELS = 3, 5  # most modes, and most levels of each, in one sentence
 
@@ -23,7 +24,7 @@ def over_levels(c: Compared) -> dict[str, Any] | None:
     order = np.argsort(c.level)[: int(np.isfinite(c.level).sum())]
     if not len(order) or c.level[order[0]] == c.level[order[-1]]:
         return None
-    modes, curves = [], {run: c.whitened(c.measured[run]) for run in order}
+    modes, every, curves = [], [], {run: c.whitened(c.measured[run]) for run in order}
     for f, zeta in c.modes.T:
         start, rows = complex(2 * np.pi * f * (-zeta + 1j * np.sqrt(max(1 - zeta**2, 0.0)))), []
         for run in order:
@@ -32,7 +33,9 @@ def over_levels(c: Compared) -> dict[str, Any] | None:
                 break
             start = found[0]
             rows.append([abs(start) / 2 / np.pi, found[1], -start.real / abs(start), found[2]])
-        if len(rows) == len(order):
+        again = any(_same(np.array(rows), np.array(earlier)) for earlier in every) if len(rows) == len(order) else False
+        if len(rows) == len(order) and not again:
+            every.append(rows)
             names = "frequency_hz", "frequency_std_hz", "damping_ratio", "damping_ratio_std"
             modes.append({name: [float(x) for x in v] for name, v in zip(names, np.transpose(rows), strict=True)})
     low, high = (c.measured[order[k]] for k in (0, -1))
@@ -42,6 +45,11 @@ def over_levels(c: Compared) -> dict[str, Any] | None:
         "level": [float(v) for v in c.level[order]], "modes": modes,
         "by_output": dict(zip(c.outputs, change.tolist(), strict=True)),
     }  # fmt: skip
+
+
+def _same(mode: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two local fits have ended at one mode, at every level; rows of frequency, deviation and damping ratio."""
+    return bool((np.abs(mode[:, 0] - other[:, 0]) < SAME * mode[:, 2] * mode[:, 0]).all())
 
 
 def _pole(c: Compared, H: np.ndarray, start: complex) -> tuple[complex, float, float] | None:

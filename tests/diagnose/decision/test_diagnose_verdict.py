@@ -14,7 +14,8 @@ from modalax.diagnose.causes.mains_hum import MainsHum
 from modalax.diagnose.causes.scene import Place
 from modalax.diagnose.causes.signals import HumLines
 from modalax.diagnose.causes.viscoelastic import ZenerJoint
-from modalax.diagnose.decision.advice import advise
+from modalax.diagnose.decision.advice import advise, advise_modes
+from modalax.diagnose.decision.beyond import OddChannel
 from modalax.diagnose.decision.gain import Gain
 from modalax.diagnose.decision.posterior import Ranked
 from modalax.diagnose.decision.sets import as_stated, rivals
@@ -248,3 +249,14 @@ def test_no_cause_is_likelier_than_its_verdict_leaves_room_for(word, most):
     causes = [{"name": "gap", "where": ["1"], "probability": 0.999}, {"name": "units", "where": [], "probability": 0.2}]
     assert [c["probability"] for c in as_stated(word, causes)] == [most, 0.2]
     assert causes[0]["probability"] == 0.999  # which is left as it was
+
+
+def test_what_to_do_after_modes_were_not_explained_depends_on_what_is_left():
+    assert "its supports, its units" in advise_modes("unknown", 0)
+    assert "residual map" in advise_modes("unknown", 0, mostly=True)
+    assert "lower force levels" in advise_modes("unknown", 0, by_level=True, mostly=True)
+    odd = OddChannel("3:+Z", False, 20.0)
+    assert "the sensor at 3:+Z" in advise_modes("unknown", 0, odd, by_level=True, mostly=True)
+    assert (
+        "further point" in advise_modes("ambiguous", 2) and advise_modes("named", 0) is advise_modes("clean", 0) is None
+    )

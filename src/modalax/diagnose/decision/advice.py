@@ -10,6 +10,10 @@ LOWER = (
     "measure at lower force levels too, until the modes no longer move, and on either side of each joint that may be "
     "what changes with the level"
 )
+REST = (
+    "something remains that no known cause explains: look at the residual map for where it lives, repeat at another "
+    "force level and with another input"
+)
 MOST_PLACES, MOST_PARTS = 6, 3  # most places in one sentence, and most parts of the advice
 
 
@@ -28,10 +32,7 @@ def advise(verdict: str, sets: Sequence[Ranked], by_level: bool = False) -> str:
     if verdict == "unknown" and by_level:
         return LOWER
     if verdict == "unknown":
-        return (
-            "something remains that no known cause explains: look at the residual map for where it lives, "
-            "repeat at another force level and with another input"
-        )
+        return REST
     causes = {cause.slug: cause for r in sets for cause, _ in r.best.parts}
     by_levels = [c for c in causes.values() if c.told_by_levels]
     places = {where for r in sets for _, where in r.names}
@@ -46,7 +47,9 @@ def advise(verdict: str, sets: Sequence[Ranked], by_level: bool = False) -> str:
     return "; ".join(dict.fromkeys(parts)) or "measure another column of the FRF matrix"
 
 
-def advise_modes(verdict: str, rivals: int, odd: OddChannel | None = None) -> str | None:
+def advise_modes(
+    verdict: str, rivals: int, odd: OddChannel | None = None, by_level: bool = False, mostly: bool = False
+) -> str | None:  # fmt: skip
     """What to do next after an answer of the modal domain, in one sentence; None where nothing is left open.
 
     Parameters
@@ -57,6 +60,10 @@ def advise_modes(verdict: str, rivals: int, odd: OddChannel | None = None) -> st
         How many other sets of causes are in question.
     odd
         A channel that differs from all others as no cause explains, where that is why the answer is ``unknown``.
+    by_level
+        Whether force levels differ by more than noise.
+    mostly
+        Whether what was found takes most of the misfit.
     """
     if verdict == "clean" or (verdict == "named" and not rivals):
         return None
@@ -64,6 +71,8 @@ def advise_modes(verdict: str, rivals: int, odd: OddChannel | None = None) -> st
         what, instead = ("force", "excite at another point") if odd.force else ("sensor", "measure with another one")
         of = "direction, contact elsewhere, load cell" if odd.force else "mounting, cable, axis, range, calibration"
         return f"check the {what} at {odd.name} ({of}), or {instead}"
+    if verdict == "unknown" and (by_level or mostly):
+        return LOWER if by_level else REST
     if verdict == "unknown":
         return "check that the simulation is of this structure: its supports, its units and the names of its DoFs"
     return "measure at a further point near these places, or change one of them on purpose and measure again"

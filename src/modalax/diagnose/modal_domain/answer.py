@@ -29,6 +29,7 @@ from modalax.diagnose.summary import cause_at
 from modalax.diagnose.thresholds import THRESHOLDS
 
 PLACES = 300  # of each kind of cause of which the median of what is detectable is taken, of more an even choice
+MOSTLY = 0.9  # share of the held-out misfit that goes where the rest, and not the whole simulation, is in question
 
 
 @dataclass(frozen=True)
@@ -190,7 +191,10 @@ class ModalDiagnosis(Diagnosis):
     @property
     def advice(self) -> str | None:
         """What would tell the alternatives apart."""
-        return advise_modes(self.verdict, len(self.alternatives), self.stage.odd)
+        seen, gain = self.stage.seen, self.gain
+        by_level = seen is not None and seen.found.before > THRESHOLDS.as_noise
+        mostly = gain.chi2_after < (1 - MOSTLY) * gain.chi2_before
+        return advise_modes(self.verdict, len(self.alternatives), self.stage.odd, by_level, mostly)
 
     def to_dict(self) -> dict[str, Any]:
         """The answer as plain data, in the agreed form."""
