@@ -126,9 +126,10 @@ def test_one_cause_too_must_predict_the_block_held_out(word, after, plain, prefe
     [
         ("clean", 19.0, 1.0, "clean"), ("clean", 21.0, 1.0, "unknown"), ("clean", 173.0, 10.0, "clean"),
         ("named", 19.0, 1.0, "named"), ("named", 21.0, 1.0, "unknown"), ("unknown", 21.0, 1.0, "unknown"),
+        ("ambiguous", 19.0, 1.0, "ambiguous"), ("ambiguous", 21.0, 1.0, "unknown"),
     ],
 )  # fmt: skip
-def test_nothing_is_clean_or_named_whose_lines_are_not_explained(word, left, by_modes, said):
+def test_nothing_is_told_whose_lines_are_not_explained(word, left, by_modes, said):
     found, reasons = lines_verdict(word, ["as before"], left, by_modes)
     assert found == said and reasons[0] == "as before"
     assert ("own modes" in reasons[-1]) == (left > 20 * by_modes and word != "unknown")

@@ -297,7 +297,7 @@ def held_out_verdict(word: str, reasons: Sequence[str], gain: Gain) -> tuple[str
 def lines_verdict(
     word: str, reasons: Sequence[str], left: float, by_modes: float, several: bool = False
 ) -> tuple[str, tuple[str, ...]]:
-    """The verdict once all lines are known: nothing is `clean` or `named` whose lines are not explained with it.
+    """The verdict once all lines are known: nothing but a joint is told whose lines are not explained with it.
 
     Parameters
     ----------
@@ -315,7 +315,7 @@ def lines_verdict(
             "would do that, and what is small beside it is not seen here",
         )  # fmt: skip
     most = THRESHOLDS.lines_missed_by_several if several and word == "named" else THRESHOLDS.lines_missed
-    if word not in ("clean", "named") or left <= most * by_modes:
+    if word == "unknown" or left <= most * by_modes:
         return word, tuple(reasons)
     return "unknown", (
         *reasons,

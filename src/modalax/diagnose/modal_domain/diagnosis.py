@@ -251,7 +251,8 @@ def _diagnosed(
     word, reasons = held_out_verdict(word, reasons, gain)
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
     several = len(standing_out(stage, chosen)) > 1
-    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit, several)
+    most = math.inf if word == "ambiguous" and joined != "clean" else 1.0  # a joint that is not certain leaves more
+    word, reasons = lines_verdict(word, reasons, left, most * stage.measured.misfit, several)
     stage, further = _missed_alone(stage, residuals[1], word == "unknown" and joined == "clean")
     reasons = (*reasons, *further)
     joint = seen is not None and seen.joint is not None

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 from frames import measured, simulation
 
+from modalax.data import Measurement
 from modalax.diagnose.causes.base import RARE
 from modalax.diagnose.comparison import as_measurement
 from modalax.diagnose.modal_domain import diagnosis
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.odd_channels.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.model import Structure
 
 EITHER = pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
 SIMULATIONS = {"beam": simulation(), "chain": chains_off.simulation()}
@@ -99,3 +101,20 @@ def test_the_probability_of_other_places_knows_how_many_there_are():
         odds = np.exp(12.0) * (RARE / 200) ** count
         assert there.probability == pytest.approx(odds / (1 + odds), rel=1e-9)
         assert [c["where"] for c in there.told()] == [[str(k), str(k + 1)] for k in range(count)]
+
+
+def test_a_sensor_elsewhere_is_seen_where_each_input_drives_modes_of_its_own():
+    """Two chains that nothing joins, one along X and one along Z: half of all residues are noise."""
+    rng, one = np.random.default_rng(2), chains_off.matrices(chains_off.MASSES, chains_off.SPRINGS, chains_off.ZETA)
+    names = [f"{k}:+{axis}" for axis in "XZ" for k in range(1, 6)]
+    both = [np.kron(np.diag([1.0, factor]), A) for A, factor in zip(one, (1.0, 1.2, 1.45), strict=True)]
+    H = np.asarray(Structure(*both, names).frf(chains_off.FREQ, form="accelerance", inputs=["3:+X", "2:+Z"]).H)
+    labels = [name for name in names if name != "4:+X"]
+    H = H[:, [names.index("4:+X" if name == "2:+X" else name) for name in labels]]
+    sigma = 0.005 * np.abs(H).max() / 10
+    H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
+    data = Measurement(chains_off.FREQ, H[None], form="accelerance", outputs=labels, inputs=["3:+X", "2:+Z"],
+                       variance=np.full((1, *H.shape), sigma**2))  # fmt: skip
+    nominal = Structure(*both, names)
+    setting = posed(data, nominal, identified(data, nominal, lambda _: None)).setting
+    assert other_places(setting, nominal.dofs, data.outputs) == {"2:+X": "4:+X"}

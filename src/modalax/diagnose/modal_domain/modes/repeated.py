@@ -133,16 +133,23 @@ class Together:
         poles, residues
             Of all modes.
         """
-        mean, whole = poles[self.pairs], residues[self.pairs]
+        mean = poles[self.pairs]
+        for k, group, own in self._sums():
+            if group is None:
+                mean[k] = mean_of(along[k], poles[self.every[own]], residues[self.every[own]])
+            else:
+                mean[list(group.rows)] = group.pole
+        return mean, self.whole(poles, residues)
+
+    def whole(self, poles: np.ndarray, residues: np.ndarray) -> np.ndarray:
+        """Residues in the place of the measured ones, at whatever channels."""
+        out = residues[self.pairs]
         for k, group, own in self._sums():
             here, A = poles[self.every[own]], residues[self.every[own]]
-            whole[k] = A.sum(axis=0)
-            if group is None:
-                mean[k] = mean_of(along[k], here, A)
-            else:
-                whole[group.rows[1]] = ((here - group.pole)[:, None, None] * A).sum(axis=0)
-                mean[list(group.rows)] = group.pole
-        return mean, whole
+            out[k] = A.sum(axis=0)
+            if group is not None:
+                out[group.rows[1]] = ((here - group.pole)[:, None, None] * A).sum(axis=0)
+        return out
 
     def moved(
         self, along: np.ndarray, poles: np.ndarray, residues: np.ndarray, dpoles: np.ndarray, dresidues: np.ndarray,

@@ -65,9 +65,11 @@ def other_places(setting: Setting, dofs: tuple[str, ...], outputs: tuple[str, ..
         state = state_at(setting, np.zeros(len(setting.inaccuracy.group_of)))
     except np.linalg.LinAlgError:  # a simulation of fewer modes than are measured
         return {}
-    simulated = state.modes.residues(replace(c, outputs=c.shapes))[state.pairs]
+    simulated = state.together.whole(state.modes.poles, state.modes.residues(replace(c, outputs=c.shapes)))
     measured = f.residues * f.units
-    weight = 1 / (np.abs(measured) ** 2).mean(axis=1, keepdims=True)
+    weight = 1 / (np.abs(measured) ** 2).mean(
+        axis=(1, 2), keepdims=True
+    )  # an input that hardly drives a mode tells none
     energy = (np.abs(measured) ** 2 * weight).sum(axis=(0, 2))
     off = np.stack(
         [(np.abs(measured[:, k, None] - simulated) ** 2 * weight).sum(axis=(0, 2)) for k in range(len(outputs))]
