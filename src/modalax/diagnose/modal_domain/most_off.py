@@ -15,4 +15,5 @@ def most_off(setting: Setting, f: Fit) -> list[str]:
         f"{percent(abs(o.size))} (± {percent(o.std)})"
         for name in ("stiffness", "mass") for o in outlying(setting, f, name)[:MOST]
     ]  # fmt: skip
-    return [f"a few elements are off by far more than the others: {'; '.join(told)}"] if told else []
+    who = "a few elements are" if len(told) > 1 else "one element is"
+    return [f"{who} off by far more than the others: {'; '.join(told)}"] if told else []

@@ -71,6 +71,7 @@ def test_what_is_off_by_far_more_than_the_others_stands_out(monkeypatch):
         "a few elements are off by far more than the others: stiffness at 11:+X by -30 % (± 0.1 %); "
         "stiffness at 3:+X by +20 % (± 0.1 %)"
     ]
+    assert sizes_of(monkeypatch, sizes[:10])[1][0].startswith("one element is off by far more")
     assert sizes_of(monkeypatch, sizes, std=0.09)[0] == []  # which nobody knows
     assert sizes_of(monkeypatch, sizes[[3, 4, 5, 6]])[0] == []  # too few others
 
