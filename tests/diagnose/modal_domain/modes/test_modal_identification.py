@@ -69,6 +69,22 @@ def test_peaks_that_were_measured_more_finely_than_the_rest_are_all_found():
     np.testing.assert_allclose(np.sort_complex(found.poles), np.sort_complex(poles), rtol=1e-4)
 
 
+def test_chi_square_is_what_is_left_on_the_lines_however_alike_poles_are():
+    """Fifty poles at one peak, whose columns nearly depend on each other: it had come out below zero."""
+    rng = np.random.default_rng(5)
+    channels = channels_of(frf_of(poles_of([20.0, 45.0], [0.01, 0.01]), rng), rng, 1e-4)
+    for count in (2, 12, 50):
+        found, _ = project(poles_of(np.linspace(19.0, 21.0, count).tolist(), [0.01] * count), channels)
+        left = float((channels.weight * np.abs(channels.data - found.made(channels)) ** 2).sum())
+        assert found.chi2 == pytest.approx(left, rel=1e-6)
+
+
+def test_no_more_modes_are_looked_for_than_there_may_be():
+    rng = np.random.default_rng(2)
+    channels = channels_of(frf_of(poles_of([10.0, 20.0, 31.0, 38.0, 50.0], [0.01] * 5), rng), rng, 1e-3)
+    assert len(blind_modes(channels).poles) == 5 and len(blind_modes(channels, at_most=3).poles) <= 3
+
+
 def test_levels_that_bend_one_narrow_peak_are_not_averaged():
     """Though the differences drown in the noise of all other lines; hum at one line in one run is no such peak."""
     rng = np.random.default_rng(7)

@@ -24,6 +24,7 @@ SETTLED = 1e-3  # decrease of chi-square per number of poles' parameters at whic
 ROUNDING = 1e-24  # information on a pole, relative to the best known one, that counts as none
 WIDEST = 1e6  # damping of a step, relative to the information, at which there is no way on
 POWERS = 0, 1, 2, -1, -2, -3  # of s in the residual terms of modes beyond the band
+CANCELLED = 1e-12  # sum of squares of which rounding may leave so much, above which chi-square is summed over the lines
 BLOCK = 20_000_000  # numbers that the products of columns may take at once
 
 
@@ -148,7 +149,11 @@ def project(poles: np.ndarray, channels: Channels) -> tuple[Projected, np.ndarra
     unit = inner / size[:, :, None] / size[:, None] + 1e-13 * np.eye(k)
     inverse = np.linalg.inv(unit) / size[:, :, None] / size[:, None]
     x = np.einsum("cij,cj->ci", inverse, right[:, :k])
-    chi2 = float((energy - 2 * (x * right[:, :k]).sum(axis=1) + np.einsum("ci,cij,cj->c", x, inner, x)).sum())
+    if CANCELLED * float(((x * size) ** 2).sum()) < channels.data.size:
+        chi2 = float((energy - 2 * (x * right[:, :k]).sum(axis=1) + np.einsum("ci,cij,cj->c", x, inner, x)).sum())
+    else:  # columns that nearly depend on each other have sizes whose squares cancel
+        left = channels.data - (columns[:, :k] * scale[:k]) @ x.T
+        chi2 = float((channels.weight * np.abs(left) ** 2).sum())
     cross = gram[:, k:, :k]
     schur = gram[:, k:, k:] - cross @ inverse @ cross.transpose(0, 2, 1)
     slope = right[:, k:] - np.einsum("cij,cj->ci", cross, x)

@@ -12,7 +12,7 @@ from modalax.diagnose.modal_domain.modes.bent_peaks import bent, one_each, widen
 from modalax.diagnose.modal_domain.modes.beside_band import with_modes_beside
 from modalax.diagnose.modal_domain.modes.features import Features, chosen, features_of, shapes_shown, sure
 from modalax.diagnose.modal_domain.modes.free_residues import Channels, Projected, refine
-from modalax.diagnose.modal_domain.modes.mode_count import blind_modes, cost_of_mode, heavy, misfit, mode_gains
+from modalax.diagnose.modal_domain.modes.mode_count import MOST, blind_modes, cost_of_mode, heavy, misfit, mode_gains
 from modalax.diagnose.modal_domain.modes.repeated import close_pairs, of_rank, reach, twofold
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates, modes_of
 from modalax.diagnose.setup.noise import Noise, noise_of, third_difference
@@ -30,6 +30,7 @@ AROUND_LINE = 15  # lines that tell of the noise about one, and twice as many ar
 EXPLAINED = 1.1  # chi-square per sample up to which modes explain the data
 DISTORTED = 2.0  # chi-square per sample that modes leave of the lowest level from which on the highest is tried,
 CLEARLY = 1.5  # which is taken where they leave so many times less of it
+TIMES, MORE = 2, 12  # most modes in the band: so many times those of the simulation, and more
 UNLIKE = 1e-6  # chance under noise below which runs differ at three neighbouring lines, as where a peak is bent
 
 
@@ -95,29 +96,39 @@ def lower_and_higher(measurement: Measurement, runs: np.ndarray) -> bool:
     return bool(np.isfinite(level).all()) and len(np.unique(level)) > 1 and len(np.unique(level[runs])) == 1
 
 
+def _most(c: Coordinates | None, channels: Channels) -> int:
+    """How many modes a measurement may have: of a joint that bends peaks ever more poles describe a little more."""
+    if c is None:
+        return MOST
+    low, high = np.abs(channels.s[[0, -1]])
+    inside = int(np.count_nonzero((c.frequencies > low) & (c.frequencies < high)))
+    return min(MOST, TIMES * inside + MORE)
+
+
 def _identified(measurement: Measurement, c: Coordinates | None, highest: bool = False) -> Measured:
     H, order = np.asarray(measurement.H), DERIVATIVES[measurement.form]
     channels, noise, runs, unlike = prepared(measurement, c, highest)
-    modes = blind_modes(channels)
+    most = _most(c, channels)
+    modes = blind_modes(channels, at_most=most)
     beside = with_modes_beside(modes, channels)
     if beside is not channels:
-        channels, modes = beside, blind_modes(beside, modes.poles)
+        channels, modes = beside, blind_modes(beside, modes.poles, most)
     s, outside = channels.s, channels.outside
     made = modes.made(channels).reshape(H.shape[1:])
     scattered = too_small(modes, channels)
     if scattered is not None:
         noise = _by_scatter(measurement, made, scattered)
         channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
-        modes = blind_modes(channels)
+        modes = blind_modes(channels, at_most=most)
         made = modes.made(channels).reshape(H.shape[1:])
     if np.isfinite(noise.freedom):  # noise that was estimated is known better beside what is no noise
         noise = noise_of(measurement, made) if scattered is None else _by_scatter(measurement, made, scattered)
         channels = channels_of(s, H[runs], noise.sigma[runs], order, outside)
-        modes = blind_modes(channels, modes.poles)
+        modes = blind_modes(channels, modes.poles, most)
     shared = _shared(modes, channels, H.shape[2:])
     if shared > 1.0:  # each output tells less of a mode than it seems to
         channels = channels_of(s, H[runs], noise.sigma[runs] * np.sqrt(shared), order, outside)
-        modes = blind_modes(channels, modes.poles)
+        modes = blind_modes(channels, modes.poles, most)
     modes = one_each(modes, channels)
     if not len(modes.poles):
         raise ValueError("no mode stands out of the noise in the band")

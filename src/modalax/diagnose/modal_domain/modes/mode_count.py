@@ -25,18 +25,20 @@ MOST = 80  # modes in one band
 LINES = 4  # fewest lines per mode
 
 
-def blind_modes(channels: Channels, start: np.ndarray | None = None) -> Projected:
+def blind_modes(channels: Channels, start: np.ndarray | None = None, at_most: int = MOST) -> Projected:
     """Modes in the band, by rising frequency.
 
     Parameters
     ----------
     start
         Poles to begin with, shape ``(n,)`` [rad/s]; none where everything is to be found from the residual.
+    at_most
+        How many modes there may be.
     """
     found = refine(np.zeros(0, complex) if start is None else start, channels)
     for _ in range(ROUNDS):
         found = _pruned(found, channels)
-        most = min(MOST, len(channels.s) // LINES)
+        most = min(at_most, len(channels.s) // LINES)
         new = further_poles(found, channels)[: max(most - len(found.poles), 0)]
         better = _with(found, new, channels)
         if better is None:
