@@ -124,6 +124,8 @@ def _beside_own_peaks(measurement: Measurement, task: _Task, measured: Measured)
     """The diagnosis beside the mass of one sensor, where its output has peaks of its own and a mass explains them."""
     if not task.wanted("sensor_mass") or isinstance(task.simulation, ModesOnly):  # whose coordinates are the channels'
         return None
+    if len(measured.runs) < len(np.asarray(measurement.H)):  # levels that differ bend peaks, of some outputs more
+        return None
     which = own_peaks(measured, len(measurement.outputs), len(measurement.inputs))
     if which is None:
         return None

@@ -262,7 +262,9 @@ def run_stage(
     if apart or late() or (stage is not None and (stage.jointed or stage.best.misfit < THRESHOLDS.misfit)):
         return stage
     apart = _lacking(measurement, simulation, measured, wanted, False)
-    return stage if apart is None else _searched(measurement, simulation, late, wanted, tell, *apart)
+    other = None if apart is None else _searched(measurement, simulation, late, wanted, tell, *apart)
+    cut_short = other is None or (other.seen is not None and other.seen.found.untried)
+    return stage if cut_short else other
 
 
 def _searched(

@@ -10,7 +10,7 @@ from modalax.diagnose.modal_domain.modes.bent_peaks import bent, one_each, widen
 from modalax.diagnose.modal_domain.modes.beside_band import DAMPING, gains_beside, with_modes_beside
 from modalax.diagnose.modal_domain.modes.features import Features, features_of, sure, whitener_of
 from modalax.diagnose.modal_domain.modes.free_residues import Channels, project
-from modalax.diagnose.modal_domain.modes.measured import alike_runs, identify
+from modalax.diagnose.modal_domain.modes.measured import alike_runs, identify, settles
 from modalax.diagnose.modal_domain.modes.mode_count import blind_modes, heavy, misfit
 from modalax.diagnose.modal_domain.modes.relocation import relocated
 
@@ -108,13 +108,25 @@ def test_of_levels_that_differ_the_one_that_modes_explain_is_identified(bent):
     rng, level = np.random.default_rng(7), np.array([1.0, 2.0, 4.0])
     plain = frf_of(poles_of([20.0, 45.0], [0.01, 0.01]), np.random.default_rng(8)).reshape(len(S), 5, 2)
     side = (1 + 0.3 * (S.imag > 2 * np.pi * 20.0) * np.exp(-(((S.imag / 2 / np.pi - 20.0) / 0.3) ** 2)))[:, None, None]
-    H = np.stack([plain * (side if bent in (k, None) else 1.0) * (1 + 0.01 * k) for k in range(3)])
+    H = np.stack([plain * (side if bent in (k, None) else 1.0) * (1 + 0.01 * np.sqrt(k)) for k in range(3)])
     sigma = 1e-3 * np.sqrt((np.abs(H) ** 2).mean(axis=(0, 1))) * np.ones(H.shape)
     H = H + sigma * (rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)) / np.sqrt(2)
     outputs, inputs = [f"{k}:+Z" for k in range(1, 6)], ["1:+Z", "2:+Z"]
     freq = S.imag / 2 / np.pi
     data = Measurement(freq, H, form="accelerance", outputs=outputs, inputs=inputs, level=level, variance=sigma**2)
     assert list(identify(data, None).runs) == [2 if bent == 0 else 0]
+
+
+def test_friction_settles_with_the_level_and_drag_does_not():
+    level, plain = (
+        np.array([1.0, 3.0, 9.0]),
+        frf_of(poles_of([20.0], [0.01]), np.random.default_rng(8))[None, :, :, None],
+    )
+    friction, drag = (
+        plain * (1 + 0.1 * np.array(a))[:, None, None, None] for a in ([1.0, 0.33, 0.11], [1.0, 3.0, 9.0])
+    )
+    assert settles(friction, level) and settles(friction[[2, 0, 1]], level[[2, 0, 1]])
+    assert not settles(drag, level) and not settles(friction[:2], level[:2]) and not settles(friction, level * np.nan)
 
 
 def test_a_peak_that_no_poles_make_is_no_mode():

@@ -79,21 +79,28 @@ def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
     """Identify a measurement (no line at 0 Hz) blind; the simulation only stands for the modes beyond the band.
 
     Of force levels that differ it is the lowest, at which stops are open and springs do not slip; or the highest, where
-    that is bent less: friction holds at low levels and slips freely at high ones.
+    runs differ less there and modes leave less: friction holds at low levels and slips freely at high ones.
 
     Raises ``ValueError`` where no mode stands out of the noise.
     """
     lowest = _identified(measurement, c)
-    if lowest.misfit < DISTORTED or not lower_and_higher(measurement, lowest.runs):
+    if lowest.misfit < DISTORTED or not settles(np.asarray(measurement.H), np.asarray(measurement.level)):
         return lowest
     highest = _identified(measurement, c, highest=True)
     return highest if CLEARLY * highest.misfit < lowest.misfit else lowest
 
 
-def lower_and_higher(measurement: Measurement, runs: np.ndarray) -> bool:
-    """Whether runs are those of one of several force levels."""
-    level = np.asarray(measurement.level)
-    return bool(np.isfinite(level).all()) and len(np.unique(level)) > 1 and len(np.unique(level[runs])) == 1
+def settles(H: np.ndarray, level: np.ndarray) -> bool:
+    """Whether runs ``(run, f, o, i)`` differ less from level to level the higher the level [N] is, of three or more.
+
+    As where friction slips freely in the end; what stiffens or drags changes ever more.
+    """
+    force = np.unique(level[np.isfinite(level)])
+    if len(force) < 3 or not np.isfinite(level).all() or force[0] <= 0:
+        return False
+    mean = [H[level == f].mean(axis=0) for f in force]
+    steps = [np.linalg.norm(mean[k + 1] - mean[k]) / np.log(force[k + 1] / force[k]) for k in range(len(force) - 1)]
+    return bool(steps[-1] < steps[0])
 
 
 def _most(c: Coordinates | None, channels: Channels) -> int:
