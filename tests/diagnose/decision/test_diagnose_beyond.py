@@ -159,6 +159,15 @@ def test_a_channel_that_alone_is_missed_is_told(squares, name, samples):
 
 
 @pytest.mark.parametrize(("word", "left", "said"), [
+    ("named", 19.0, "named"), ("named", 21.0, "ambiguous"), ("ambiguous", 21.0, "ambiguous"),
+    ("unknown", 21.0, "unknown"),
+])  # fmt: skip
+def test_a_joint_that_the_levels_tell_leads_though_lines_are_not_explained(word, left, said):
+    found, reasons = lines_verdict(word, ["as before"], left, 1.0, joint=True)
+    assert found == said and ("own modes" in reasons[-1]) == (said != word)
+
+
+@pytest.mark.parametrize(("word", "left", "said"), [
     ("named", 1.9, "named"), ("named", 2.1, "unknown"), ("clean", 2.1, "clean"),
 ])  # fmt: skip
 def test_several_causes_must_explain_the_lines_better_than_one(word, left, said):

@@ -153,11 +153,10 @@ def test_the_mass_next_to_a_clamp_is_off_by_itself():
 def test_rivals_of_the_linear_causes_hold_the_joint_as_well(monkeypatch):
     joint = {"name": "elasto_slip", "where": ["7:X"], "probability": 1.0, "parameters": {}}
     monkeypatch.setattr(answers, "rivals_told", lambda seen, named: [])
-    monkeypatch.setattr(answers, "causes_told", lambda seen, whole: [joint])
+    monkeypatch.setattr(answers, "causes_told", lambda seen, whole, misfit: [joint])
     sets = (BeyondUsual((), 0.8), BeyondUsual((("joint_stiffness", ("6:X", "7:X")),), 0.2))
-    given = SimpleNamespace(
-        verdict="ambiguous", stage=SimpleNamespace(seen=object(), whole=None), sets=sets, _linear=[], forced=None
-    )
+    stage = SimpleNamespace(seen=object(), whole=None, measured=SimpleNamespace(misfit=1.0))
+    given = SimpleNamespace(verdict="ambiguous", stage=stage, sets=sets, _linear=[], forced=None)
     given._beyond_modes = answers.ModalDiagnosis._beyond_modes.fget(given)
     rivals = answers.ModalDiagnosis.alternatives.fget(given)
     assert [[(c["name"], c["where"]) for c in s] for s in rivals] == [

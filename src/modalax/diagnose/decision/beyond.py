@@ -295,9 +295,11 @@ def held_out_verdict(word: str, reasons: Sequence[str], gain: Gain) -> tuple[str
 
 
 def lines_verdict(
-    word: str, reasons: Sequence[str], left: float, by_modes: float, several: bool = False
+    word: str, reasons: Sequence[str], left: float, by_modes: float, several: bool = False, joint: bool = False
 ) -> tuple[str, tuple[str, ...]]:
-    """The verdict once all lines are known: nothing but a joint is told whose lines are not explained with it.
+    """The verdict once all lines are known: nothing is told whose lines are not explained with it.
+
+    But a joint, which explains what differs from level to level: it is no more than the leading answer then.
 
     Parameters
     ----------
@@ -306,6 +308,8 @@ def lines_verdict(
         modes leave.
     several
         Whether several causes stand out, which together can stand for much that is none of them.
+    joint
+        Whether a joint is told by the force levels.
     """
     if word in ("clean", "named") and min(left, by_modes) > THRESHOLDS.modes_miss:  # not where a joint explains it
         reasons = (
@@ -315,9 +319,9 @@ def lines_verdict(
             "would do that, and what is small beside it is not seen here",
         )  # fmt: skip
     most = THRESHOLDS.lines_missed_by_several if several and word == "named" else THRESHOLDS.lines_missed
-    if word == "unknown" or left <= most * by_modes:
+    if word == "unknown" or left <= most * by_modes or (joint and word == "ambiguous"):
         return word, tuple(reasons)
-    return "unknown", (
+    return "ambiguous" if joint else "unknown", (
         *reasons,
         f"but the corrected simulation leaves a chi-square of {left:.3g} per sample, the measurement's own modes "
         f"{by_modes:.3g}: the FRFs differ from it in a way that no error of elements explains",

@@ -131,7 +131,11 @@ class ModalDiagnosis(Diagnosis):
     @property
     def _beyond_modes(self) -> list[dict[str, Any]]:
         """What tells the force levels apart, and the force that shows on lines only."""
-        levels = [] if self.stage.seen is None else causes_told(self.stage.seen, self.stage.whole)
+        levels = (
+            []
+            if self.stage.seen is None
+            else causes_told(self.stage.seen, self.stage.whole, max(self.stage.measured.misfit, 1.0))
+        )
         return levels + ([] if self.forced is None else [force_told(self.forced)])
 
     @property

@@ -253,11 +253,11 @@ def _diagnosed(
     word, reasons = held_out_verdict(word, reasons, gain)
     left = float((np.abs(residuals[1][stage.measured.runs]) ** 2).mean() / 2)
     several = len(standing_out(stage, chosen)) > 1
-    most = math.inf if word == "ambiguous" and joined != "clean" else 1.0  # a joint that is not certain leaves more
-    word, reasons = lines_verdict(word, reasons, left, most * stage.measured.misfit, several)
+    joint = seen is not None and seen.joint is not None
+    by_joint = joint and joined in ("named", "ambiguous")
+    word, reasons = lines_verdict(word, reasons, left, stage.measured.misfit, several, by_joint)
     stage, further = _missed_alone(stage, residuals[1], word == "unknown" and joined == "clean")
     reasons = (*reasons, *further)
-    joint = seen is not None and seen.joint is not None
     hum = mains_hum(measurement, stage.measured.freq, residuals[1], joint) if task.wanted("mains_hum") else None
     if hum is not None:
         word, reasons = outweighing(word, "named"), (*reasons, f"beside it there is mains hum: {hum.evidence}")

@@ -22,6 +22,7 @@ from modalax.diagnose.modal_domain.levels.laws import LOWER, LawFit, regressed, 
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
 from modalax.diagnose.modal_domain.levels.series import in_series
 from modalax.diagnose.modal_domain.levels.weigh import STEEP, _best, off_folds, set_aside
+from modalax.model import Structure
 from modalax.simulate import joints, simulate
 
 EITHER = pytest.mark.parametrize("structure", ["chain", pytest.param("beam", marks=pytest.mark.slow)])
@@ -166,6 +167,28 @@ def test_a_joint_that_bends_even_the_lowest_level_is_found_beside_the_structure_
     assert -poles.real / np.abs(poles) == pytest.approx(ratios, rel=0.01)
 
 
+def test_friction_that_holds_where_little_moves_is_told_from_the_highest_level():
+    """Beside springs that are 1 % off; at the lowest level no modes are near those of the chain that slips freely."""
+    true = Structure(*chains_off.chain_off(3, 0.01), chains_off.DOFS)
+    plain = simulate(
+        true, [joints.ElastoSlip(2e5, 0.15)], [["3:+Z"]], np.linspace(12.0, 110.0, 120), [1.0, 3.0, 8.0],
+        inputs=["1:+Z"], outputs=[chains_off.DOFS[k] for k in (0, 1, 3, 4)], form="accelerance", harmonics=7,
+    )  # fmt: skip
+    H, rng = np.asarray(plain.H), np.random.default_rng(0)
+    sigma = 0.003 * np.sqrt((np.abs(H[0]) ** 2).mean(axis=0)) * np.ones(H.shape)
+    noise = rng.standard_normal(H.shape) + 1j * rng.standard_normal(H.shape)
+    data = plain.replace(H=H + sigma * noise / np.sqrt(2), variance=sigma**2)
+    asked = {"elasto_slip", "cubic_stiffness", "joint_stiffness"}
+    found = diagnose_modes(data, chains_off.simulation(), wanted=asked.__contains__)
+    (cause,) = found.to_dict()["causes"]
+    assert found.verdict in ("named", "ambiguous") and (cause["name"], cause["where"]) == ("elasto_slip", ["3:+Z"])
+    for name, value in (("stiffness", 2e5), ("slip_force", 0.15)):
+        told = cause["parameters"][name]
+        assert abs(told["value"] - value) < 4 * told["std"] < value
+    assert list(found.stage.measured.runs) == [2] and found.gain.held_out == "run 1 at 1 N, the lowest level"
+    assert found.gain.chi2_after < 0.02 * found.gain.chi2_before
+
+
 def test_a_threshold_is_sought_between_those_that_are_tried():
     """A stop met at an amplitude between two that are tried: what is missed falls to a twentieth."""
     amplitude = np.array([np.geomspace(0.01, 0.3, 50), np.geomspace(0.03, 1.0, 50)])[..., None]
@@ -248,8 +271,12 @@ def test_a_joint_is_as_likely_as_its_law_and_its_place_together():
     at = lambda k, p: explain.JointFound(explain.Spot((k,), np.ones(1), 0.2), fitted, np.ones(1), 0.0, 0, 0.0, p)
     found = explain.ByLevel([at("3", 0.5), at("4", 0.4)], None, 0.0, 0.1, 9.0, 1.0)
     assert found.placed("cubic_stiffness", ("3",)) == pytest.approx(0.5 / 0.9)
-    (told,) = causes_told(SimpleNamespace(found=found, joint=found.joints[0]))
+    (told,), (wider,) = (causes_told(SimpleNamespace(found=found, joint=found.joints[0]), None, m) for m in (1.0, 4.0))
     assert (told["where"], told["probability"]) == (["3"], 0.5)
+    std = [c["parameters"]["cubic_stiffness"]["std"] for c in (told, wider)]
+    assert std[1] == pytest.approx(
+        2 * std[0]
+    )  # where modes leave four times the noise of the level that it is told from
 
 
 def test_once_time_is_up_laws_are_fitted_at_no_further_place(monkeypatch):

@@ -44,8 +44,11 @@ def judge_levels(seen: Seen | None, whole: Whole | None = None) -> tuple[str, tu
     ))  # fmt: skip
 
 
-def causes_told(seen: Seen, whole: Whole | None = None) -> list[dict[str, Any]]:
-    """The joint or the drift, as told in the answer; a joint that the simulation lacks as one with its spring."""
+def causes_told(seen: Seen, whole: Whole | None = None, misfit: float = 1.0) -> list[dict[str, Any]]:
+    """The joint or the drift, as told in the answer; a joint that the simulation lacks as one with its spring.
+
+    Its deviations are widened by what modes leave of the level that it is told from, ``misfit`` times the noise.
+    """
     found = seen.found
     if found.best == "drift":
         d = found.drift
@@ -57,9 +60,10 @@ def causes_told(seen: Seen, whole: Whole | None = None) -> list[dict[str, Any]]:
         return []
     f = j.fit if whole is None else whole.fit
     scale = slopes(f.law, f.p)
-    parameters = parameters_told(f.law, Place(j.spot.where), f.p, f.covariance * np.outer(scale, scale))
+    parameters = parameters_told(f.law, Place(j.spot.where), f.p, misfit * f.covariance * np.outer(scale, scale))
     if whole is not None and not whole.alone:
-        parameters = {"stiffness": {"value": whole.stiffness, "std": whole.std, "unit": "N/m"}, **parameters}
+        std = whole.std * math.sqrt(misfit)
+        parameters = {"stiffness": {"value": whole.stiffness, "std": std, "unit": "N/m"}, **parameters}
     sure = found.sure_at(j.slug, j.spot.where)
     name = {"name": j.slug, "where": list(j.spot.where), "probability": float(min(sure, 1.0))}
     return [{**name, "parameters": parameters}]
