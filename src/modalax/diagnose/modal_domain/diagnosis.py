@@ -18,6 +18,7 @@ from modalax.diagnose.modal_domain.corrected import extension_of, frf_of, inaccu
 from modalax.diagnose.modal_domain.fitting.attempts import explains
 from modalax.diagnose.modal_domain.fitting.explanation import NONE
 from modalax.diagnose.modal_domain.fitting.fit import fit, without_causes
+from modalax.diagnose.modal_domain.fitting.outlying import outlying_said
 from modalax.diagnose.modal_domain.fitting.state import Setting
 from modalax.diagnose.modal_domain.fitting.throughout import throughout_said, throughout_told
 from modalax.diagnose.modal_domain.held_out import gain_of
@@ -25,7 +26,6 @@ from modalax.diagnose.modal_domain.judged import judge, of_the_joint, on_its_lin
 from modalax.diagnose.modal_domain.levels.answer import judge_levels
 from modalax.diagnose.modal_domain.levels.seen import at_levels, drift_by_run
 from modalax.diagnose.modal_domain.modes.measured import Measured
-from modalax.diagnose.modal_domain.most_off import most_off
 from modalax.diagnose.modal_domain.odd_channels.misplaced import moved, other_places
 from modalax.diagnose.modal_domain.records.forced import Forced, force_beside, force_said
 from modalax.diagnose.modal_domain.records.mains import lines_without_hum, mains_hum
@@ -226,7 +226,7 @@ def _diagnosed(
     throughout = throughout_told(stage.setting, judged.likeliest.fit) if explained else {}
     word = outweighing(judged.word, joined)
     likeliest = judged.likeliest.fit
-    reasons = [inaccuracy_said(inaccuracy), *most_off(stage.setting, likeliest)] if explained else []
+    reasons = [inaccuracy_said(inaccuracy), *outlying_said(stage.setting, likeliest)] if explained else []
     reasons += [*throughout_said(throughout), *judged.reasons, *further]
     reasons += [
         f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"

@@ -8,8 +8,7 @@ import pytest
 from modalax.data import Measurement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.fitting import outlying as module
-from modalax.diagnose.modal_domain.fitting.outlying import outlying
-from modalax.diagnose.modal_domain.most_off import most_off
+from modalax.diagnose.modal_domain.fitting.outlying import outlying, outlying_said
 from modalax.model import Structure
 
 COUNT, MASS, STIFFNESS = 12, 0.5, 4e6  # elements of a bar that is clamped at one end [kg, N/m]
@@ -57,7 +56,7 @@ def sizes_of(monkeypatch, sizes, std=1e-3):
     s = np.full(count, 0.1)
     monkeypatch.setattr(module, "scale_of", lambda *_: s)
     monkeypatch.setattr(module, "slopes_at", lambda *_: np.eye(count) * np.sqrt(1 / std**2 - 1 / s[0] ** 2))
-    return outlying(setting, f, "stiffness"), most_off(setting, f)
+    return outlying(setting, f, "stiffness"), outlying_said(setting, f)
 
 
 def test_what_is_off_by_far_more_than_the_others_stands_out(monkeypatch):

@@ -12,6 +12,7 @@ import numpy as np
 import scipy.linalg
 import scipy.special
 
+from modalax._numerics.text import percent
 from modalax.diagnose.modal_domain.fitting.fit import Fit, scale_of
 from modalax.diagnose.modal_domain.fitting.linear import root_of_information
 from modalax.diagnose.modal_domain.fitting.state import Setting, slopes_at
@@ -20,6 +21,7 @@ KNOWN = 0.3  # standard deviation of an element's error, relative to that of all
 FEWEST = 5  # others that are known where their size is
 NORMAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 APART = 3.5  # of that from which an element is left out of the others
+MOST = 4  # elements of each kind that are told
 CHANCE = 1e-4  # that any of so many errors is as large, below which one stands out
 
 
@@ -53,3 +55,14 @@ def outlying(setting: Setting, f: Fit, name: str) -> list[Outlying]:
     far = np.flatnonzero(known & ~others & (tails * np.count_nonzero(known) < CHANCE))
     found = [Outlying(int(k), float(size[k]), float(std[k])) for k in far]
     return sorted(found, key=lambda o: -abs(o.size) / np.hypot(usual, o.std))
+
+
+def outlying_said(setting: Setting, f: Fit) -> list[str]:
+    """A sentence on the elements that stand out of a fit's inaccuracy of stiffness or mass; none if none do."""
+    told = [
+        f"{name} at {' - '.join(setting.inaccuracy.places[name][o.number])} by {'-' if o.size < 0 else '+'}"
+        f"{percent(abs(o.size))} (± {percent(o.std)})"
+        for name in ("stiffness", "mass") for o in outlying(setting, f, name)[:MOST]
+    ]  # fmt: skip
+    who = "a few elements are" if len(told) > 1 else "one element is"
+    return [f"{who} off by far more than the others: {'; '.join(told)}"] if told else []
