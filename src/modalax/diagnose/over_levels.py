@@ -33,8 +33,7 @@ def over_levels(c: Compared) -> dict[str, Any] | None:
                 break
             start = found[0]
             rows.append([abs(start) / 2 / np.pi, found[1], -start.real / abs(start), found[2]])
-        again = any(_same(np.array(rows), np.array(earlier)) for earlier in every) if len(rows) == len(order) else False
-        if len(rows) == len(order) and not again:
+        if len(rows) == len(order) and not any(_same(np.array(rows), np.array(earlier)) for earlier in every):
             every.append(rows)
             names = "frequency_hz", "frequency_std_hz", "damping_ratio", "damping_ratio_std"
             modes.append({name: [float(x) for x in v] for name, v in zip(names, np.transpose(rows), strict=True)})

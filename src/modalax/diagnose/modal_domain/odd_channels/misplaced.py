@@ -67,9 +67,8 @@ def other_places(setting: Setting, dofs: tuple[str, ...], outputs: tuple[str, ..
         return {}
     simulated = state.together.whole(state.modes.poles, state.modes.residues(replace(c, outputs=c.shapes)))
     measured = f.residues * f.units
-    weight = 1 / (np.abs(measured) ** 2).mean(
-        axis=(1, 2), keepdims=True
-    )  # an input that hardly drives a mode tells none
+    # one of each mode: residues of an input that hardly drives it are noise
+    weight = 1 / (np.abs(measured) ** 2).mean(axis=(1, 2), keepdims=True)
     energy = (np.abs(measured) ** 2 * weight).sum(axis=(0, 2))
     off = np.stack(
         [(np.abs(measured[:, k, None] - simulated) ** 2 * weight).sum(axis=(0, 2)) for k in range(len(outputs))]
