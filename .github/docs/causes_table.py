@@ -25,7 +25,9 @@ terminal. *Acts on* is the stage of the prediction that the cause changes.
 of N/m. A `gain` is a factor less one; factors of groups of elements are 1 where nothing is wrong. Where elements are
 read off the matrices, a `joint_stiffness` may have other parameters: `relative_change` [-] of the whole element,
 `relative_change_in_plane` [-] of a beam that is wrong in one plane of bending, or `rotational_stiffness` [N m/rad] of
-a beam's end that gives way against its node or its clamp.
+a beam's end that gives way against its node or its clamp. One of several springs that hold a body, as the isolators of
+a machine, has the change of its `stiffness` [N/m] and, as `offset_x` to `offset_z` [m], the place of its line of action
+from the node, across that line.
 
 | Cause | The simulation lacks | Parameters | Acts on | Told best by |
 |---|---|---|---|---|

@@ -113,7 +113,7 @@ def test_what_may_be_off_by_itself_of_an_element():
     assert sorted(map(sorted, kinds)) == [["+RX"], ["+RY", "+X", "+Y", "+Z"]]
     turns = Part((0,), lump.dofs[3:], np.diag([0.1, 0.2]))
     assert [len(p.dofs) for p in apart(turns, nodes, mass=True)] == [1, 1]
-    assert len(apart(planes_of(part)[0], nodes)) == 1
+    assert len(apart(planes_of(part, nodes)[0], nodes)) == 1
     local = Part((), part.dofs, part.matrix)  # a plate's stiffness about a node, whichever of its DoFs it couples
     assert apart(local, nodes) == [local]
 
@@ -122,7 +122,7 @@ def test_a_beam_has_two_planes_and_is_told_at_displacements():
     K, _ = mast(np.ones((NODES, 3)), np.ones(NODES))
     nodes = nodes_of(DOFS)
     part = next(p for p in parts_of(K, nodes) if {0, 1} == set(p.nodes))
-    planes = planes_of(part)
+    planes = planes_of(part, nodes)
     assert {frozenset(DOFS[k][2:] for k in p.dofs) for p in planes} == {
         frozenset({"+X", "+RY"}),
         frozenset({"+Y", "+RX"}),
@@ -135,7 +135,7 @@ def test_a_beam_has_two_planes_and_is_told_at_displacements():
     left = part.matrix - both
     left[np.ix_(axial, axial)] = 0.0
     assert np.abs(left).max() < 1e-9 * np.abs(both).max()
-    assert planes_of(planes[0]) == []  # one piece
+    assert planes_of(planes[0], nodes) == []  # one piece
 
 
 def test_elements_that_are_told_have_their_planes_too():
@@ -165,7 +165,7 @@ def test_a_piece_that_joins_no_two_dofs_of_one_direction_is_no_place():
     whole, *planes = softened_elements(S, coordinates_of(S, DOFS[:2], DOFS[:1], 2 * np.pi * 90.0), 0.4)
     assert [p.where for p in planes] == [("1:+RX", "2:+RX")]
     part = Part((0, 1), np.flatnonzero(F[0].any(axis=1)), F[0, F[0].any(axis=1)] @ F[0, F[0].any(axis=1)].T)
-    assert sorted(len(ends_of(p, nodes)) for p in planes_of(part)) == [0, 2]
+    assert sorted(len(ends_of(p, nodes)) for p in planes_of(part, nodes)) == [0, 2]
 
 
 @pytest.mark.parametrize(("other", "told"), [(1.0, True), (0.2, True), (0.05, False), (0.0, False)])

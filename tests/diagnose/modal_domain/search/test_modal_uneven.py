@@ -8,11 +8,11 @@ from frames import modal_damping
 
 from modalax.data import Measurement
 from modalax.diagnose.deadline import NEVER
+from modalax.diagnose.modal_domain.causes.within_elements import UnevenElement
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.fitting.fit import fit
 from modalax.diagnose.modal_domain.fitting.throughout import uneven_patterns, with_more
 from modalax.diagnose.modal_domain.search.explain import UNLIKE, far_off, leading
-from modalax.diagnose.modal_domain.search.uneven_element import UnevenElement
 from modalax.diagnose.modal_domain.stage import identified, posed
 from modalax.model import Structure
 
@@ -44,7 +44,7 @@ def measured(
         top = np.sqrt(np.linalg.eigvals(np.linalg.solve(M, K)).real.max()) / 2 / np.pi
         freq = np.linspace(0.1 * top, 0.6 * top, 240)
     s = 2j * np.pi * freq[:, None, None]
-    forces = np.broadcast_to(np.eye(len(K))[:, inputs], (len(freq), len(K), 2))
+    forces = np.broadcast_to(np.eye(len(K))[:, inputs], (len(freq), len(K), len(inputs)))
     H = s**2 * np.linalg.solve(K + s * C + s**2 * M, forces)
     sigma = noise * np.sqrt((np.abs(H) ** 2).mean(axis=0)) * np.ones(H.shape)
     H = H + sigma * (rng.standard_normal((2, *H.shape)) * [[[[1]]], [[[1j]]]]).sum(axis=0) / np.sqrt(2)

@@ -11,7 +11,7 @@ from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
 from modalax.diagnose.modal_domain.structure.modes_only import Simulation
 from modalax.diagnose.modal_domain.structure.nodes import Nodes, nodes_of
-from modalax.diagnose.modal_domain.structure.parts import ends_of, planes_of
+from modalax.diagnose.modal_domain.structure.parts import ends_of, is_spring, planes_of
 from modalax.model import Structure
 from modalax.model.condense import follow
 
@@ -95,15 +95,15 @@ def softened_elements(simulation: Simulation, c: Coordinates, usual: float) -> l
         where = place if place[0] != place[1] else place[:1]
         whole = Change("joint_stiffness", where, usual, pattern=pattern, factor=F, reference=stiffness)
         out.append(whole)
-        for ends, G in _planes(F, nodes, node):
+        for ends, G, spring in _planes(F, nodes, node):
             where, stiffness = tuple(c.names[k] for k in ends), float(abs(G[ends[0]] @ G[ends[-1]]))
-            plane = replace(whole, where=where, factor=G, reference=stiffness, piece=True)
+            plane = replace(whole, where=where, factor=G, reference=stiffness, piece=not spring)
             out.append(replace(plane, pattern=_patterns(G[None], c)[0]))
     return out
 
 
-def _planes(F: np.ndarray, nodes: Nodes, node: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray]]:
-    """Ends and factor ``(n, r)`` of each plane in which an element between two nodes bends by itself.
+def _planes(F: np.ndarray, nodes: Nodes, node: np.ndarray) -> list[tuple[tuple[int, ...], np.ndarray, bool]]:
+    """Ends and factor ``(n, r)`` of each piece of an element between two nodes, and whether that is a spring.
 
     ``node`` is that of each DoF, shape ``(n,)``.
     """
@@ -111,8 +111,13 @@ def _planes(F: np.ndarray, nodes: Nodes, node: np.ndarray) -> list[tuple[tuple[i
     between = tuple(dict.fromkeys(node[dofs].tolist()))
     if len(between) != 2:
         return []
-    each = [(ends_of(p, nodes), p.dofs) for p in planes_of(Part(between, dofs, F[dofs] @ F[dofs].T))]
-    return [(ends, np.where(np.isin(np.arange(len(F)), own)[:, None], F, 0.0)) for ends, own in each if ends]
+    out = []
+    for p in planes_of(Part(between, dofs, F[dofs] @ F[dofs].T), nodes):
+        values, vectors = np.linalg.eigh(p.matrix)
+        G, ends = np.zeros((len(F), len(p.dofs))), ends_of(p, nodes)
+        G[p.dofs] = vectors * np.sqrt(np.maximum(values, 0.0))
+        out += [(ends, G, is_spring(p))] if ends else []
+    return out
 
 
 def changed_by_elements(

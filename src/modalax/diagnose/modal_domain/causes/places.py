@@ -16,7 +16,7 @@ from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
 from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
 from modalax.diagnose.modal_domain.structure.nodes import Nodes, nodes_of
-from modalax.diagnose.modal_domain.structure.parts import ends_of, parts_of, planes_of
+from modalax.diagnose.modal_domain.structure.parts import ends_of, is_spring, parts_of, planes_of
 from modalax.diagnose.modal_domain.structure.turns import nodes_at
 
 COUPLED = 1e-6  # size of an element of K, relative to the diagonal, from which two DoFs are coupled
@@ -154,11 +154,13 @@ def _elements(simulation: Simulation, c: Coordinates, nodes: Nodes, parts: list[
     ends = flexible_ends(parts, nodes, simulation.dofs, c, JOINT)
     parts = parts if not out else []
     for part in (p for p in parts if len(p.nodes) == 2 and len(p.dofs) > 2):
-        for p in (part, *planes_of(part)):
+        for p in (part, *planes_of(part, nodes)):
             where = tuple(simulation.dofs[k] for k in ends_of(p, nodes))
             pattern = c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs]
             if where:
-                out.append(Change("joint_stiffness", where, JOINT, pattern=pattern, piece=p is not part))
+                out.append(
+                    Change("joint_stiffness", where, JOINT, pattern=pattern, piece=p is not part and not is_spring(p))
+                )
     for part in (p for p in parts if len(p.nodes) == 1 and len(p.dofs) > 1):
         own = np.diag(part.matrix)
         if np.abs(part.matrix - np.diag(own)).max() < COUPLED * np.abs(own).max():  # springs, each by itself

@@ -1,103 +1,27 @@
 r"""One element that is off unevenly, as where one of several members in parallel is wrong.
 
-A matrix shows the columns of a storey as one element :math:`K_e=FF^T`. Where one of them is wrong, its ways of being
-strained change each by itself and are coupled: :math:`F(I+Z)F^T` with ``Z`` symmetric, no eigenvalue below -1. Such an
-element is looked for where elements seem to be off unevenly in general, which one that is far off makes of them.
+Such an element (:mod:`modalax.diagnose.modal_domain.causes.within_elements`) is looked for where elements seem to be
+off unevenly in general, which one that is far off makes of them.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes.change import UNITS, Change, own_sizes
+from modalax.diagnose.modal_domain.causes.change import Change, own_sizes
 from modalax.diagnose.modal_domain.causes.places import JOINT
+from modalax.diagnose.modal_domain.causes.within_elements import OneMember, UnevenElement, of_rows
 from modalax.diagnose.modal_domain.fitting.attempts import attempt
 from modalax.diagnose.modal_domain.fitting.fit import Fit
 from modalax.diagnose.modal_domain.fitting.inaccuracy import WITHIN
 from modalax.diagnose.modal_domain.fitting.throughout import coupled_elements, uneven_patterns, ways_of
 from modalax.diagnose.modal_domain.search.steps import MOST, Search
+from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
+from modalax.diagnose.modal_domain.structure.nodes import nodes_of
 
 NEGLIGIBLE = 1e-6  # difference of two elements, relative to their stiffness, below which they are one
 FEW = 2  # elements that are tried, those that are farthest off
-MOST_WAYS = 3  # of being strained, of an element that is looked at: a storey sways two ways and twists
-
-
-@dataclass(frozen=True)
-class UnevenElement(Change):
-    """An element whose ways of being strained are off each by itself; its sizes are those of ``Z``.
-
-    Attributes
-    ----------
-    ways
-        Changes by sizes of one, as :func:`modalax.diagnose.modal_domain.fitting.throughout.uneven_patterns` makes them,
-        shape ``(r (r + 1) / 2, n, n)``.
-    """
-
-    ways: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)), compare=False)
-
-    @property
-    def count(self) -> int:
-        """One for each way of being strained, and for each two of them."""
-        return len(self.ways)
-
-    @property
-    def telling(self) -> int:
-        """All of its sizes."""
-        return self.count
-
-    @property
-    def screened(self) -> bool:
-        """Only where elements seem to be off unevenly."""
-        return False
-
-    @property
-    def linear(self) -> bool:
-        """It has several sizes."""
-        return False
-
-    def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
-        """Change of the stiffness."""
-        return {"K": self.scale * np.tensordot(u, self.ways, 1)}
-
-    def slopes(self, u: np.ndarray) -> list[dict[str, np.ndarray]]:
-        """The changes by sizes of one."""
-        return [{"K": self.scale * way} for way in self.ways]
-
-    def relative_changes(self, u: np.ndarray) -> np.ndarray:
-        """Eigenvalues of ``Z``, rising: by how much each of some ways of being strained is stiffer."""
-        rank = int(np.sqrt(2 * len(u)))
-        Z, rows = np.zeros((rank, rank)), [(a, b) for a in range(rank) for b in (a, *range(a))]
-        for (a, b), size in zip(rows, self.scale * u, strict=True):
-            Z[a, b] = Z[b, a] = size if a == b else size / np.sqrt(2)
-        return np.linalg.eigvalsh(Z)
-
-    def possible(self, u: np.ndarray) -> bool:
-        """No way of being strained has less than no stiffness."""
-        return bool(self.relative_changes(u)[0] > -1)
-
-    def size(self, u: np.ndarray) -> float:
-        """The largest relative change of any way of being strained."""
-        return float(max(self.relative_changes(u), key=abs))
-
-    def told(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, dict[str, Any]]:
-        """The mean relative change of all ways, which is linear in the sizes."""
-        rank = int(np.sqrt(2 * len(u)))
-        own = np.cumsum(np.arange(rank))
-        mean = np.zeros(len(u))
-        mean[own] = self.scale / rank
-        name, unit = UNITS["modal_damping"]
-        std = float(np.sqrt(max(mean @ covariance @ mean, 0.0)))
-        return {name: {"value": float(mean @ u), "std": std, "unit": unit}}
-
-    def said(self) -> str:
-        """What would change an element so."""
-        between = " and ".join(map(str, self.where)) if len(self.where) > 1 else f"{self.where[0]} and the ground"
-        return (
-            f"what joins {between} is off by unlike amounts in its different motions, which it couples: as where "
-            "one of several members in parallel is wrong"
-        )
+MOST_WAYS = 3  # of being strained, of an element that may be off in all: a storey sways two ways and twists
 
 
 def off_unevenly(search: Search, late: Callable[[], bool]) -> None:
@@ -111,8 +35,8 @@ def off_unevenly(search: Search, late: Callable[[], bool]) -> None:
                 attempt(search.setting, search.found, (*causes, element), np.concatenate([*start, u]), None)
 
 
-def _farthest(search: Search, f: Fit) -> list[tuple[UnevenElement, np.ndarray]]:
-    """The elements that a fit has farthest off in their uneven changes, with the sizes that it has."""
+def _farthest(search: Search, f: Fit) -> list[tuple[Change, np.ndarray]]:
+    """The elements that a fit has farthest off in their uneven changes, and one spring of each, with their sizes."""
     a = search.setting.inaccuracy
     if WITHIN["stiffness"] not in a.groups:
         return []
@@ -123,18 +47,44 @@ def _farthest(search: Search, f: Fit) -> list[tuple[UnevenElement, np.ndarray]]:
     if counts.sum() != len(uneven) or not len(single):  # they stand for couplings of what is no element
         return []
     parts = np.split(f.sizes[uneven], np.cumsum(counts)[:-1])
-    far = np.array([float((part**2).sum()) for part in parts]) * (ranks <= MOST_WAYS)
+    far = np.array([float((part**2).sum()) for part in parts])
     pieces, number = a.patterns[a.groups.index("stiffness")], a.elements.get("stiffness", np.arange(len(wholes)))
-    out = []
+    out: list[tuple[Change, np.ndarray]] = []
     for k in np.argsort(-far)[:FEW].tolist():
         among = [wholes[k], *(pieces[number == k] if len(pieces) != len(wholes) else [])]
         told = [c for P in among for c in search.candidates if _is_of(c, P)]
-        if far[k] > 0 and told:
+        if not told or far[k] == 0:
+            continue
+        if ranks[k] <= MOST_WAYS:
             ways = uneven_patterns(wholes[k : k + 1])
             cause = UnevenElement(
                 "joint_stiffness", told[0].where, JOINT, pattern=wholes[k], weight=told[0].weight, ways=ways
             )
             out.append((cause, parts[k] / JOINT))
+        out += _springs(search.setting.coordinates, wholes[k], parts[k], told[0])
+    return out
+
+
+def _springs(c: Coordinates, P: np.ndarray, sizes: np.ndarray, told: Change) -> list[tuple[Change, np.ndarray]]:
+    """A softer and a stiffer spring of an element ``P``, strained as its uneven ``sizes`` change it most."""
+    ways, nodes = ways_of(P), nodes_of(c.names)
+    values, vectors = np.linalg.eigh(of_rows(sizes))
+    at = dict.fromkeys(int(nodes.of_dofs[c.names.index(str(name))]) for name in told.where)
+    held = np.concatenate([nodes.members[k] for k in at])
+    forces, first = np.linalg.lstsq(c.everywhere[held].T, ways.T, rcond=1e-9)[0].T, next(iter(at))
+    moves = np.zeros((len(ways), 6))
+    for k, force in zip(held.tolist(), forces.T, strict=True):
+        if nodes.axis[k] >= 0 and nodes.of_dofs[k] == first:
+            moves[:, nodes.axis[k]] = nodes.sign[k] * force
+    out: list[tuple[Change, np.ndarray]] = []
+    for value, a in ((values[0], vectors[:, 0]), (values[-1], vectors[:, -1])):
+        main = int(np.argmax(np.abs(a @ moves[:, :3])))
+        where = tuple(c.names[k] for k in held if nodes.axis[k] == main) if moves[:, :3].any() else told.where
+        spring = OneMember(
+            "joint_stiffness", where, JOINT, pattern=P, weight=told.weight, ways=ways, moves=moves, stiffer=value > 0
+        )
+        if value != 0 and len(where) == len(told.where):
+            out.append((spring, a * np.sqrt(abs(value) * len(ways) / JOINT)))
     return out
 
 

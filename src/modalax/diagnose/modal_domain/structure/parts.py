@@ -79,20 +79,40 @@ def trimmed(p: Part, diagonal: np.ndarray) -> Part:
     return Part(p.nodes, p.dofs[held], p.matrix[np.ix_(held, held)]) if held.any() else p
 
 
-def planes_of(p: Part) -> list[Part]:
+def planes_of(p: Part, nodes: Nodes) -> list[Part]:
     """Pieces of an element that have nothing to do with each other, as bending in two planes; none if it is one piece.
 
-    Springs from DoF to DoF, as an axial force or torque makes, are places of their own; bending beside one is a piece.
+    Springs from DoF to DoF, as an axial force or torque makes, are places of their own; bending beside one is a piece,
+    and so is each of several springs that act on a body at levers.
     """
-    every = _pieces(p)
-    each = [k for k in every if len(k) > 2]
-    return [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in each] if len(every) > 1 else []
+    every = apart(p, nodes)
+    return [q for q in every if len(q.dofs) > 2] if len(every) > 1 else []
+
+
+def levers_of(p: Part, nodes: Nodes) -> list[Part]:
+    r"""Springs between a point and a body, each in a direction of the point's own DoFs; none if an element is no such.
+
+    Where the point's stiffness is diagonal, its columns show the levers: :math:`K_e=\sum_d k_d v_d v_d^T` with
+    :math:`k_d v_d` the column of DoF d.
+    """
+    size = np.sqrt(np.maximum(np.diag(p.matrix), 1e-300))
+    unit, first = p.matrix / size[:, None] / size, np.isin(p.dofs, nodes.members[p.nodes[0]])
+    for point in (first, ~first):
+        columns, count = unit[:, point], int(np.count_nonzero(point))
+        if count < 2 or np.abs(columns[point] - np.eye(count)).max() > NEGLIGIBLE:
+            continue
+        if np.abs(columns @ columns.T - unit).max() < NEGLIGIBLE:
+            held = [np.flatnonzero(np.abs(v) > NEGLIGIBLE) for v in columns.T]
+            each = zip(held, (columns * size[:, None]).T, strict=True)
+            return [Part(p.nodes, p.dofs[k], np.outer(v[k], v[k])) for k, v in each]
+    return []
 
 
 def apart(p: Part, nodes: Nodes, mass: bool = False) -> list[Part]:
     """Pieces of an element that may each be off by itself: bending and twisting, as each other quantity of a section.
 
-    A node's mass is one in all directions, and its inertia another. What is shared out about a node is one.
+    So may springs at levers (:func:`levers_of`). A node's mass is one in all directions, and its inertia another. What
+    is shared out about a node is one.
     """
     if not p.nodes:
         return [p]
@@ -101,7 +121,13 @@ def apart(p: Part, nodes: Nodes, mass: bool = False) -> list[Part]:
         moves = nodes.axis[p.dofs] < 3
         one = [k for k in every if moves[k].any()]
         every = [k for k in every if not moves[k].any()] + ([np.sort(np.concatenate(one))] if one else [])
-    return [p] if len(every) < 2 else [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in every]
+    each = [p] if len(every) < 2 else [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in every]
+    return each if mass or len(p.nodes) < 2 else [q for piece in each for q in levers_of(piece, nodes) or [piece]]
+
+
+def is_spring(p: Part) -> bool:
+    """Whether an element can be strained in one way only."""
+    return bool(np.abs(_coupling(p) - 1).max() < NEGLIGIBLE)
 
 
 def ends_of(p: Part, nodes: Nodes) -> tuple[int, ...]:
