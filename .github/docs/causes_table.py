@@ -27,7 +27,8 @@ read off the matrices, a `joint_stiffness` may have other parameters: `relative_
 `relative_change_in_plane` [-] of a beam that is wrong in one plane of bending, or `rotational_stiffness` [N m/rad] of
 a beam's end that gives way against its node or its clamp. One of several springs that hold a body, as the isolators of
 a machine, has the change of its `stiffness` [N/m] and, as `offset_x` to `offset_z` [m], the place of its line of action
-from the node, across that line.
+from the node, across that line. A body whose centre of mass is off its node is an `added_mass` with such offsets and a
+`radius_of_gyration` [m] about its centre.
 
 | Cause | The simulation lacks | Parameters | Acts on | Told best by |
 |---|---|---|---|---|

@@ -179,6 +179,13 @@ def _key(cause: Cause) -> str:
     return f"{type(cause).__name__}({own})"
 
 
+def as_given(simulation: Structure | ModalModel | ExtendedSimulation) -> Structure | ModalModel | ExtendedSimulation:
+    """A corrected simulation without causes as the matrices or modes that it is; any other as it is."""
+    if isinstance(simulation, ExtendedSimulation) and not simulation.causes and not np.any(simulation.theta):
+        return simulation.base
+    return simulation
+
+
 def extend(comparison: Any, h: Hypothesis) -> ExtendedSimulation:
     """The extended simulation of a fitted hypothesis."""
     old = comparison.simulation if isinstance(comparison.simulation, ExtendedSimulation) else None

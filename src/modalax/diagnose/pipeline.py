@@ -59,7 +59,7 @@ from modalax.diagnose.decision.route import (
     suffices,
     surely_foretold,
 )
-from modalax.diagnose.extend import ExtendedSimulation
+from modalax.diagnose.extend import ExtendedSimulation, as_given
 from modalax.diagnose.gains_said import gains_said
 from modalax.diagnose.jointed.answer import diagnose_joint, joint_comes_first, may_have_joint
 from modalax.diagnose.modal_domain.answer import ModalDiagnosis
@@ -177,6 +177,7 @@ def _diagnosed(
     """The answer, with what is known besides said beside it."""
     release_programs()
     check_simulation(simulation, Structure, ModalModel, ExtendedSimulation)
+    simulation = as_given(simulation)
     names = dof_names(simulation.base if isinstance(simulation, ExtendedSimulation) else simulation)
     if isinstance(measurement, ModeTable):
         table, renamed = turned_modes(measurement, names)

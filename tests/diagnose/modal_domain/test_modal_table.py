@@ -118,8 +118,10 @@ def test_usual_errors_are_said_and_wrong_ones_refused():
     assert "usual ones, since none are told" in found.to_dict()["notes"][0]
     with pytest.raises(ValueError, match="three between 0 and 1 are needed"):
         diagnose(table, chain(), modal_std=(0.001, 0.1, -1.0))
+    assert diagnose(table, found.extended).verdict == "clean"  # corrected and without causes, it is matrices
+    spring = diagnose(measured("spring"), chain(), causes=[c for c in catalogue() if c.slug == "joint_stiffness"])
     with pytest.raises(ValueError, match="compared with matrices or modes, not with an? ExtendedSimulation"):
-        diagnose(table, found.extended)
+        diagnose(table, spring.extended)
     other = ModeTable.of(table.frequency_hz, table.damping_ratio, table.shapes, [f"x{k}" for k in range(N)])
     with pytest.raises(ValueError, match="DoFs x0, x1, x2, x3 of the modes are not in the simulation"):
         diagnose(other, chain())

@@ -25,6 +25,7 @@ from modalax.diagnose.modal_domain.fitting.throughout import (
     with_groups,
     with_more,
 )
+from modalax.diagnose.modal_domain.search.attached_bodies import attached_bodies
 from modalax.diagnose.modal_domain.search.heavy_elements import heavy_elements
 from modalax.diagnose.modal_domain.search.oscillators import acting_alike, attached, attached_beside
 from modalax.diagnose.modal_domain.search.refitted import (
@@ -123,6 +124,7 @@ def _searched(
             _without_a_gain(search)
             off_unevenly(search, late)
             heavy_elements(search, late)
+            attached_bodies(search, late)
         if late():  # which may have cut the fit of what leads short: others are compared with it
             best = search.best
             attempt(replace(search.setting, late=NEVER), search.found, best.causes, best.u, best, gentle=False)
@@ -240,6 +242,7 @@ def _all_steps(search: Search, late: Deadline) -> None:
     """Seek a further cause and other places beside what was fitted first, as long as there is time."""
     if search.setting.inaccuracy.between_modes:
         from_the_simulation(search.setting, search.found, search.prior)
+    attached_bodies(search, late)
     attached(search.setting, search.found, search.candidates, search.prior, late)
     with_losses(search, late)
     several(search, late)
