@@ -158,7 +158,8 @@ def off_folds(N: np.ndarray, by: np.ndarray, p: np.ndarray) -> np.ndarray:
     p
         Parameters, shape ``(p,)``.
     """
-    return by / np.maximum(np.abs(p * by) / np.maximum(STEEP * np.abs(N)[..., None], 1e-300), 1.0)
+    most, own = STEEP * np.abs(N)[..., None] + np.zeros(by.shape), np.abs(p * by)
+    return by * np.divide(most, own, out=np.ones(by.shape), where=most < own)
 
 
 def _products(levels: Levels, base: Base, b: np.ndarray, Q: np.ndarray, X: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
