@@ -147,7 +147,8 @@ def joint_and_structure(
 ) -> tuple[Measured, Setting, list[Explanation], Seen | None]:  # fmt: skip
     """What the levels tell, and the linear structure beside it; each is looked for again until neither moves the other.
 
-    What describes the lowest level still holds some of a joint. What is found without it describes the levels better.
+    What describes the lowest level still holds some of a joint. What is found without it describes the levels better,
+    else it is not kept: a law that is not exact there takes out what the structure does by itself.
     ``early`` is what they tell beside the explanations, if anything, where these hold one cause at most.
     """
     # what a law leaves of a peak that it distorts looks like a mode too many
@@ -165,7 +166,7 @@ def joint_and_structure(
         freed, alone = without_joint(H, measured, setting, seen, now, level)
         found = again(alone, explanations, some) if len(freed.features.poles) else []
         after = look(freed, alone, found[0].fit, seen, taken is not None) if found else None
-        if after is None or after.joint is None or after.found.untried:
+        if after is None or after.found.untried or not _better(after, seen):
             break
         raw, taken, measured, setting, explanations = after, now, freed, alone, found
         seen = beside(explanations, raw, prior)[1]
@@ -173,15 +174,22 @@ def joint_and_structure(
         some = candidates if taken is None else some
         setting, _, explanations = explain(setting, some, late, tell)
         after = look(measured, setting, explanations[0].fit, seen, taken is not None) if explanations else None
-        raw = raw if after is None or after.joint is None else after
+        raw = after if _better(after, raw) else raw
     if raw is not None and explanations and not late():
         explanations = with_springs(setting, explanations, raw.found, candidates)
     told_from = explanations[0].causes if explanations else ()
     explanations, seen = beside(explanations, raw, prior)
     if seen is not None and explanations and explanations[0].causes != told_from and not late():
         after = look(measured, setting, explanations[0].fit, seen, True)
-        seen = seen if after is None or after.joint is None else beside(explanations, after, prior)[1]
+        seen = beside(explanations, after, prior)[1] if _better(after, seen) else seen
     return measured, setting, explanations, seen
+
+
+def _better(after: Seen | None, before: Seen | None) -> bool:
+    """Whether a further look finds a joint that describes the levels no worse than the one before."""
+    if after is None or after.joint is None:
+        return False
+    return before is None or before.joint is None or after.joint.log_posterior >= before.joint.log_posterior
 
 
 def beside(explanations: list[Explanation], seen: Seen | None, prior: Prior) -> tuple[list[Explanation], Seen | None]:

@@ -5,9 +5,9 @@ over the same poles; its zeros are better poles. Noise bends them a little, so t
 """
 
 import numpy as np
-import scipy.linalg
 
 from modalax._numerics.grams import weighted_grams
+from modalax._numerics.triangles import forward
 from modalax.diagnose.modal_domain.modes.free_residues import BLOCK, Channels
 
 ROUNDS = 3  # relocations, each from the poles of the last
@@ -40,9 +40,9 @@ def _factor(poles: np.ndarray, channels: Channels) -> np.ndarray:
     right = -(common.real.T @ energy).sum(axis=1)
     for A, a, wH in zip(inner, own.T, weighted.T, strict=True):
         across = np.column_stack([-(turned @ (wH[:, None] * common)).real, a])
-        left = across[:, :-1].T @ scipy.linalg.solve(A, across, assume_a="pos")
-        gram -= left[:, :-1]
-        right -= left[:, -1]
+        half = forward(np.linalg.cholesky(A), across)
+        gram -= half[:, :-1].T @ half[:, :-1]
+        right -= half[:, :-1].T @ half[:, -1]
     gram += RIDGE * np.diag(np.maximum(np.diag(gram), 1e-300))
     return np.linalg.lstsq(gram, right, rcond=None)[0] / size
 
