@@ -47,8 +47,10 @@ def corrected(stage: Stage, f: Fit) -> Structure | ModalModel:
     M, C, K = (np.asarray(A) for A in (s.M, s.C, s.K))
     if s.elements is not None and s.elements.dofs:
         own = {name: _of_elements(stage.setting, sizes, name) for name in WITHIN}
-        dK, dM = changed_by_elements(s, own, zip(whole, [float(v[0]) for v in u], strict=True))
-        K, M, whole, u = K + dK, M + dM, (), []
+        each = list(zip(whole, u, strict=True))
+        dK, dM = changed_by_elements(s, own, [(c, v) for c, v in each if c.factor is not None])
+        K, M, each = K + dK, M + dM, [(c, v) for c, v in each if c.factor is None]
+        whole, u = tuple(c for c, _ in each), [v for _, v in each]
         for name in (*own, *(THROUGHOUT[name] for name in own)):
             sizes = np.where(_of_group(stage.setting, name), 0.0, sizes)
     change = off_by(stage.setting, sizes, f.causes, f.u)

@@ -51,3 +51,16 @@ def test_a_body_beside_its_node_is_named_with_its_offset_and_radius():
         assert abs(told[name]["value"] - value) < 3 * told[name]["std"], (name, told[name])
         assert told[name]["std"] < 0.15 * value
     assert any("a body that turns with the node" in reason for reason in x.reasons)
+
+
+def test_over_degrees_of_freedom_a_body_is_what_it_is_over_modes():
+    """The second of the node's motions counts the other way, and one degree of freedom is another node's."""
+    rng = np.random.default_rng(1)
+    which = np.zeros((4, 6))
+    which[[0, 1, 3], [0, 5, 1]] = 1.0, -1.0, 1.0
+    shapes, u = rng.standard_normal((4, 7)), np.array([0.8, 0.5, -0.3, 1.2])
+    body = RigidBody(
+        "added_mass", ("1:+X",), 2.0, factor=which, moves=which.T @ shapes, axes=(0, 1), turns=(2,), reach=0.4
+    )
+    np.testing.assert_allclose(shapes.T @ body.over_dofs(u) @ shapes, body.changes(u)["M"], atol=1e-12)
+    assert not body.over_dofs(u)[2].any() and np.isclose(body.over_dofs(u)[0, 0], 1.6)

@@ -118,7 +118,8 @@ def test_a_spring_among_several_tells_its_stiffness_and_line_of_action(stiffer):
     n, point, k = np.array([0.1, 0.2, 0.97]), np.array([0.4, -0.3, 0.2]), 3.0
     n /= np.linalg.norm(n)
     moves, ways = rng.standard_normal((6, 6)), rng.standard_normal((6, 9))
-    cause = OneMember("joint_stiffness", ("1:+Z",), 0.4, ways=ways, moves=moves, stiffer=stiffer)
+    shapes = np.linalg.solve(moves, ways)  # of which these forces make these ways
+    cause = OneMember("joint_stiffness", ("1:+Z",), 0.4, ways=ways, moves=moves, factor=moves.T, stiffer=stiffer)
     u = np.linalg.solve(moves.T, np.sqrt(k) * np.concatenate([n, np.cross(point, n)])) / np.sqrt(0.4 / 6)
     A = rng.standard_normal((6, 6))
     covariance, step = A @ A.T, 1e-6
@@ -131,5 +132,6 @@ def test_a_spring_among_several_tells_its_stiffness_and_line_of_action(stiffer):
     for e, slope in zip(np.eye(6), cause.slopes(u), strict=True):
         change = (cause.changes(u + step * e)["K"] - cause.changes(u - step * e)["K"]) / (2 * step)
         np.testing.assert_allclose(slope["K"], change, atol=1e-7 * np.abs(change).max())
+    np.testing.assert_allclose(shapes.T @ cause.over_dofs(u) @ shapes, cause.changes(u)["K"], atol=1e-9)
     assert cause.possible(u * np.sqrt(0.9 / abs(cause.size(u))))
     assert cause.possible(u * np.sqrt(1.1 / abs(cause.size(u)))) == stiffer

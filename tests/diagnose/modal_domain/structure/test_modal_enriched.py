@@ -138,7 +138,7 @@ def test_what_follows_an_element_follows_otherwise_once_it_is_softer(condensed, 
     # the extended simulation is exact: the gross error as a cause, all others as the general inaccuracy
     cause = softened_elements(condensed, c, 0.4)[17]
     rest = np.where(np.arange(COUNT) == 17, 0.0, stiffness)
-    dK, dM = changed_by_elements(condensed, {"stiffness": rest, "mass": mass}, [(cause, 0.6 / 0.4)])
+    dK, dM = changed_by_elements(condensed, {"stiffness": rest, "mass": mass}, [(cause, np.array([0.6 / 0.4]))])
     again = frequencies(np.asarray(condensed.K) + dK, np.asarray(condensed.M) + dM)
     np.testing.assert_allclose(again, exact, rtol=1e-8)
 
@@ -161,7 +161,7 @@ def test_a_mass_may_sit_at_a_node_that_is_not_kept():
     places = [x.where[0] for x in every if x.slug == "added_mass" and x.pattern is not None]
     assert sorted(str(p).split(":")[0] for p in places) == ["1", "2", "3"]
     lump = next(x for x in every if x.slug == "added_mass" and x.where[0] in ("3:+X", "3:+Z"))
-    dK, dM = changed_by_elements(structure, {"stiffness": np.zeros(2), "mass": np.zeros(3)}, [(lump, 0.5)])
+    dK, dM = changed_by_elements(structure, {"stiffness": np.zeros(2), "mass": np.zeros(3)}, [(lump, np.array([0.5]))])
     np.testing.assert_allclose(dK, 0.0, atol=1e-6)
     np.testing.assert_allclose(np.trace(dM), 2 * 0.5 * lump.scale, rtol=1e-6)  # as it moves with node 2
 
@@ -177,7 +177,7 @@ def test_a_group_of_elements_of_a_condensed_model_is_softer_exactly(condensed):
         c = coordinates_of(known, ("3:+Z", "20:+Z"), ("3:+Z",), TOP)
         (cause,) = group_factors(known, c)
         still = {"stiffness": np.zeros(COUNT), "mass": np.zeros(COUNT + 1)}
-        dK, _ = changed_by_elements(known, still, [(cause, -off / cause.scale)])
+        dK, _ = changed_by_elements(known, still, [(cause, np.array([-off / cause.scale]))])
         apart = np.abs(np.asarray(known.K) + dK - T.T @ K @ T).max() / np.abs(np.asarray(known.K)).max()
         assert apart < error
 

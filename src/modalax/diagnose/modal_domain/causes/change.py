@@ -224,6 +224,11 @@ class Change:
         change = {self.kind: u[0] * self.matrix}
         return change if self.loss is None else change | {"C": u[1] * self.loss.change(float(u[0]), self.matrix)}
 
+    def over_dofs(self, u: np.ndarray) -> np.ndarray:
+        """Change of its matrix over the DoFs that the simulation's elements know, of one that has a factor."""
+        assert self.factor is not None, "no change of the structure that elements know"
+        return float(u[0]) * self.scale * self.factor @ self.factor.T
+
     def slopes(self, u: np.ndarray) -> list[dict[str, np.ndarray]]:
         """Derivatives of :meth:`changes` by each size."""
         A = self.matrix

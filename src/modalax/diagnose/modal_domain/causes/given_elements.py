@@ -121,7 +121,7 @@ def _planes(F: np.ndarray, nodes: Nodes, node: np.ndarray) -> list[tuple[tuple[i
 
 
 def changed_by_elements(
-    simulation: Structure, sizes: dict[str, np.ndarray], causes: Iterable[tuple[Change, float]]
+    simulation: Structure, sizes: dict[str, np.ndarray], causes: Iterable[tuple[Change, np.ndarray]]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Changes of stiffness and mass ``(n, n)`` by relative sizes of all elements and by causes that have a factor.
 
@@ -138,8 +138,7 @@ def changed_by_elements(
         for name, whole in before.items()
     }
     for cause, u in causes:
-        assert cause.factor is not None
-        after["mass" if cause.kind == "M" else "stiffness"] += cause.scale * u * cause.factor @ cause.factor.T
+        after["mass" if cause.kind == "M" else "stiffness"] += cause.over_dofs(u)
     out = {name: np.zeros_like(np.asarray(simulation.K)) for name in before}
     for sign, matrices in ((1.0, after), (-1.0, before)):
         T = follow(matrices["stiffness"], kept)

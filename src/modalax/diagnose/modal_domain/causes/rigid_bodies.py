@@ -70,6 +70,11 @@ class RigidBody(Change):
         slopes = [dF.T @ F + F.T @ dF for dF in by_offset]
         return F.T @ F + inertia, slopes + [2 * rho * by for rho, by in zip(radii, by_square, strict=True)]
 
+    def over_dofs(self, u: np.ndarray) -> np.ndarray:
+        """Change of the mass over DoFs; its factor tells which of them are the six motions."""
+        assert self.factor is not None, "the motions of the node are needed"
+        return self.scale * float(u[0]) * self.factor @ self._body(u)[0] @ self.factor.T
+
     def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
         """Change of the mass."""
         return {"M": self.scale * u[0] * self.moves.T @ self._body(u)[0] @ self.moves}

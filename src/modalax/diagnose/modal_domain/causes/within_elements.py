@@ -137,6 +137,12 @@ class OneMember(Change):
         """What a product of two sizes changes; all sizes as usual make the usual change."""
         return (1 if self.stiffer else -1) * self.scale / self.count
 
+    def over_dofs(self, u: np.ndarray) -> np.ndarray:
+        """Change of the stiffness over DoFs; its factor holds the forces of each way."""
+        assert self.factor is not None, "forces of each way are needed"
+        force = self.factor @ u
+        return self.strength * np.outer(force, force)
+
     def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
         """Change of the stiffness."""
         f = u @ self.ways

@@ -92,11 +92,12 @@ def _bodies(search: Search) -> list[RigidBody]:
     c = search.setting.coordinates
     nodes, inside = nodes_of(c.names), slice(0, len(search.setting.features.poles))
     lumps = {m.where[0]: m for m in search.candidates if m.slug == "added_mass" and len(m.where) == 1}
-    moved = [_moves(c.everywhere, nodes, members) for members in nodes.members]
+    motions = [_motions(nodes, members) for members in nodes.members]
+    moved = [which.T @ c.everywhere for which in motions]
     sizes = [(moves[:, inside] ** 2).sum(axis=1) for moves in moved]
     least = STILL * np.repeat(np.reshape(sizes, (-1, 2, 3)).max(axis=(0, 2)), 3)
     out = []
-    for members, moves, size in zip(nodes.members, moved, sizes, strict=True):
+    for members, which, moves, size in zip(nodes.members, motions, moved, sizes, strict=True):
         there = size > least
         axes = tuple(k for k in range(3) if any(there[3 + a] and there[3 - a - k] for a in range(3) if a != k))
         straight = [k for k in members if 0 <= nodes.axis[k] < 3 and c.names[k] in lumps]
@@ -106,16 +107,16 @@ def _bodies(search: Search) -> list[RigidBody]:
         body = RigidBody(
             "added_mass", lump.where, LUMP * len(search.setting.features.poles) / float(size[:3].sum()),
             pattern=moves[:3].T @ moves[:3], reference=lump.reference, weight=RARER * lump.weight, moves=moves,
-            axes=axes, turns=tuple(np.flatnonzero(there[3:]).tolist()),
+            axes=axes, turns=tuple(np.flatnonzero(there[3:]).tolist()), factor=which,
             reach=float(np.sqrt(size[:3].sum() / size[3:].sum())),
         )  # fmt: skip
         out.append(body)
     return out
 
 
-def _moves(shapes: np.ndarray, nodes: Nodes, members: np.ndarray) -> np.ndarray:
-    """Displacements and rotations of a node by modal coordinates, shape ``(6, n)``."""
-    moves = np.zeros((6, shapes.shape[1]))
+def _motions(nodes: Nodes, members: np.ndarray) -> np.ndarray:
+    """Which DoFs are the six motions of a node, with their signs, shape ``(n, 6)``."""
+    which = np.zeros((len(nodes.axis), 6))
     for k in members[nodes.axis[members] >= 0]:
-        moves[nodes.axis[k]] = nodes.sign[k] * shapes[k]
-    return moves
+        which[k, nodes.axis[k]] = nodes.sign[k]
+    return which

@@ -72,7 +72,8 @@ def _springs(c: Coordinates, P: np.ndarray, sizes: np.ndarray, told: Change) -> 
     at = dict.fromkeys(int(nodes.of_dofs[c.names.index(str(name))]) for name in told.where)
     held = np.concatenate([nodes.members[k] for k in at])
     forces, first = np.linalg.lstsq(c.everywhere[held].T, ways.T, rcond=1e-9)[0].T, next(iter(at))
-    moves = np.zeros((len(ways), 6))
+    moves, factor = np.zeros((len(ways), 6)), np.zeros((len(c.names), len(ways)))
+    factor[held] = forces.T
     for k, force in zip(held.tolist(), forces.T, strict=True):
         if nodes.axis[k] >= 0 and nodes.of_dofs[k] == first:
             moves[:, nodes.axis[k]] = nodes.sign[k] * force
@@ -81,8 +82,9 @@ def _springs(c: Coordinates, P: np.ndarray, sizes: np.ndarray, told: Change) -> 
         main = int(np.argmax(np.abs(a @ moves[:, :3])))
         where = tuple(c.names[k] for k in held if nodes.axis[k] == main) if moves[:, :3].any() else told.where
         spring = OneMember(
-            "joint_stiffness", where, JOINT, pattern=P, weight=told.weight, ways=ways, moves=moves, stiffer=value > 0
-        )
+            "joint_stiffness", where, JOINT, pattern=P, factor=factor, weight=told.weight, ways=ways, moves=moves,
+            stiffer=value > 0,
+        )  # fmt: skip
         if value != 0 and len(where) == len(told.where):
             out.append((spring, a * np.sqrt(abs(value) * len(ways) / JOINT)))
     return out
