@@ -99,7 +99,7 @@ def test_elements_are_not_off_by_far_more_than_their_author_says(claims, far):
     [
         ("joint_stiffness", 2e5, 3 * 0.01 * 2e5), ("added_mass", 0.8, 3 * 0.005 * 0.8), ("channel_gain", 0.0, 0.02),
         ("force_gain", 0.0, 0.02), ("time_delay", 0.0, 0.01 / (2 * np.pi * 400)), ("channel_sign", 0.0, -np.inf),
-        ("local_damper", 20.0, 3 * 0.3 * 20.0), ("channel_swap", 1.0, -np.inf),
+        ("local_damper", 20.0, 3 * 0.3 * 20.0), ("channel_swap", 1.0, -np.inf), ("gyroscopic", 20.0, 0.3 * 20.0),
     ],
 )  # fmt: skip
 def test_a_cause_stands_out_beyond_what_is_usual(slug, whole, expected):

@@ -366,8 +366,8 @@ def usual_size(slug: str, whole: float, inaccuracy: Mapping[str, float], highest
         The cause.
     whole
         Stiffness [N/m], mass [kg] or damping [N s/m] that the simulation has at the place, for joints that lose energy
-        the damping times the circular frequency in the middle of the band [N/m]; 1 for a relative change of a whole
-        element.
+        and skew couplings the damping times the circular frequency in the middle of the band [N/m]; 1 for a relative
+        change of a whole element.
     inaccuracy
         General relative inaccuracy by ``stiffness``, ``mass`` and ``damping``.
     highest
@@ -380,6 +380,7 @@ def usual_size(slug: str, whole: float, inaccuracy: Mapping[str, float], highest
         "local_damper": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0) * whole,
         "hysteretic_joint": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0) * whole,
         "maxwell_joint": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0) * whole,
+        "gyroscopic": inaccuracy.get("damping", 0.0) * whole,  # errors of dampers are symmetric
         "modal_damping": THRESHOLDS.beyond * inaccuracy.get("damping", 0.0),
         "element_group": THRESHOLDS.beyond * inaccuracy["stiffness"] * whole,
         "element_group_mass": THRESHOLDS.beyond * inaccuracy["mass"] * whole,

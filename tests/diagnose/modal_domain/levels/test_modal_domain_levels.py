@@ -12,14 +12,17 @@ from frames import DOFS, measured, simulation
 
 from modalax.data import Measurement
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
+from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.levels import explain
+from modalax.diagnose.modal_domain.levels import seen as seen_module
 from modalax.diagnose.modal_domain.levels.answer import causes_told
 from modalax.diagnose.modal_domain.levels.balance import ORDERS
 from modalax.diagnose.modal_domain.levels.change import Base, Levels, Projection, by_level
 from modalax.diagnose.modal_domain.levels.explain import apart_from_zero
 from modalax.diagnose.modal_domain.levels.laws import LOWER, LawFit, regressed, stiffness_of, with_fewer
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
+from modalax.diagnose.modal_domain.levels.seen import joint_and_structure
 from modalax.diagnose.modal_domain.levels.series import in_series
 from modalax.diagnose.modal_domain.levels.weigh import STEEP, _best, off_folds, set_aside
 from modalax.model import Structure
@@ -349,3 +352,26 @@ def test_harmonics_left_out_are_those_above_the_ninth():
     every = of(np.full(len(ORDERS), -2e-5 + 1e-6j))
     off = np.abs(with_fewer(law, every, p) - stiffness_of(law, every, p)).max()
     assert 1e-5 * 8000 < off < 0.05 * 8000
+
+
+@pytest.mark.parametrize(("later", "kept"), [(-20.0, -10.0), (-5.0, -5.0)])
+def test_what_is_found_without_the_joint_is_kept_where_it_describes_the_levels_no_worse(monkeypatch, later, kept):
+    first, after = (
+        SimpleNamespace(joint=SimpleNamespace(log_posterior=value), found=SimpleNamespace(untried=False))
+        for value in (-10.0, later)
+    )
+    looks, felt = iter([first, after, after]), iter([True, False])
+    explanations = [SimpleNamespace(fit="fit", causes=())]
+    freed = SimpleNamespace(features=SimpleNamespace(poles=[1j]), runs=[0])
+    for name, made in {
+        "Prior": lambda _: None, "beside": lambda found, seen, _: (found, seen), "force_taken": lambda *_: 0.0,
+        "felt": lambda *_: next(felt), "without_joint": lambda *_: (freed, "alone"), "again": lambda *_: explanations,
+        "explain": lambda setting, *_: (setting, [], explanations), "with_springs": lambda _, found, *__: found,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(seen_module, name, made)
+    measured, setting, _, seen = joint_and_structure(
+        np.zeros(1), np.zeros(1), SimpleNamespace(runs=[0]), "as it was", explanations, [], lambda *_: next(looks),
+        Deadline(), lambda _: None,
+    )  # fmt: skip
+    assert seen.joint.log_posterior == kept
+    assert (setting == "alone") == (measured is freed) == (kept == later)

@@ -96,7 +96,9 @@ def line_forces(
         for b in (k for k in some[:j] if not many or node[k] == node[a]):
             size = COUPLED * middle / math.sqrt(mobile[a] * mobile[b])
             pair = c.shapes[[b, a]].T
-            found.append(SkewCoupling("gyroscopic", (dofs[b], dofs[a]), size, basis=pair, middle=middle))
+            own = middle * math.sqrt(_doubling(c, pair[:, 0], inside) * _doubling(c, pair[:, 1], inside))
+            where = dofs[b], dofs[a]
+            found.append(SkewCoupling("gyroscopic", where, size, basis=pair, middle=middle, reference=own))
     return found
 
 
