@@ -8,11 +8,11 @@ import pytest
 
 from modalax.diagnose.modal_domain import judged
 from modalax.diagnose.modal_domain.causes.change import Change
-from modalax.diagnose.modal_domain.causes.channel_faults import Sign
+from modalax.diagnose.modal_domain.causes.channel_faults import Delay, Sign
 from modalax.diagnose.modal_domain.causes.joint_forces import PowerLawJoint, RelaxingJoint
 from modalax.diagnose.modal_domain.causes.line_forces import SkewCoupling
 from modalax.diagnose.modal_domain.fitting.explanation import Explanation
-from modalax.diagnose.modal_domain.judged import _in_the_limit, _without_one_sided, standing_out
+from modalax.diagnose.modal_domain.judged import _in_the_limit, _with_usual_dampers, _without_one_sided, standing_out
 
 SIGN, SPRING = Sign("channel_sign", ("3",), channel=(0, 2)), Change("joint_stiffness", ("1", "2"))
 DAMPER, ABSENT = Change("local_damper", ("1", "2")), Change("joint_stiffness", ("1", "5"), absent=True)
@@ -24,6 +24,13 @@ class Few:
     """The part of a stage that counts here."""
 
     explanations: list
+
+
+@dataclass(frozen=True)
+class Told(Few):
+    """With what was looked for."""
+
+    candidates: list
 
 
 def explained(*causes, posterior=0.0, probability=0.5, misfit=1.0):
@@ -154,3 +161,24 @@ def test_a_law_that_stands_twice_at_one_place_is_told_from_its_limit_too():
         f = SimpleNamespace(causes=causes, u=np.ones(count), covariance=0.01 * np.eye(count), log_evidence=nats)
         pairs.append(replace(one, fit=f, log_posterior=nats))
     assert _in_the_limit(Few(pairs), pairs[0]) is pairs[1]
+
+
+@pytest.mark.parametrize(
+    ("large", "phase", "raised"), [(False, True, True), (True, True, False), (False, False, False)]
+)
+def test_a_damper_of_usual_size_costs_no_place_where_a_sensors_phase_leads(monkeypatch, large, phase, raised):
+    """One of a hundred places, where a delay at one of few sensors leads by three nats."""
+    delay = Delay("time_delay", ("3",), channel=(0, 2)) if phase else SIGN
+    small = () if large else (DAMPER,)
+    monkeypatch.setattr(judged, "standing_out", lambda stage, e: tuple(c for c in e.causes if c not in small))
+    stage = Told(
+        [explained(SPRING, delay, posterior=3.0), explained(SPRING, DAMPER)], [replace(DAMPER, weight=99.0), DAMPER]
+    )
+    monkeypatch.setattr(judged, "_leading", lambda stage: ((), stage.explanations[0]))
+    found = _with_usual_dampers(stage)
+    assert (found is stage) == (not phase)
+    by_damper = next(e for e in found.explanations if DAMPER in e.causes)
+    assert by_damper.log_posterior == pytest.approx(np.log(100.0) if raised else 0.0)
+    if phase:
+        odds = by_damper.probability / (1 - by_damper.probability)
+        assert odds == pytest.approx(np.exp(by_damper.log_posterior - 3.0))

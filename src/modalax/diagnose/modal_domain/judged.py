@@ -17,7 +17,7 @@ from modalax.diagnose.decision.beyond import (
 from modalax.diagnose.modal_domain.causes.change import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.causes.line_forces import EvenCoupling, SkewCoupling
 from modalax.diagnose.modal_domain.causes.supports import SensorMasses
-from modalax.diagnose.modal_domain.fitting.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation, weighed
 from modalax.diagnose.modal_domain.fitting.fit import by_data, fit, without_causes
 from modalax.diagnose.modal_domain.fitting.inaccuracy import TOLD, USUAL, WITHIN, claims_of
 from modalax.diagnose.modal_domain.fitting.linear import LARGEST
@@ -31,6 +31,7 @@ from modalax.diagnose.thresholds import THRESHOLDS
 NEAR = 0.3  # relative distance within which a mode of the simulation may be the measured one
 ONE_SIDED = 0.5  # symmetric over skew part of a coupling that is none: between 0, of a skew one, and 1, of one-way
 GAINS = "channel_gain", "force_gain"
+PHASES = "time_delay", "sensor_filter"  # what turns the phase of a sensor
 LIKELIER = 0.5  # probability of nothing beyond the inaccuracy above which nothing is what the answer is about
 
 
@@ -64,7 +65,7 @@ class Judged:
 
 def judge(stage: Stage) -> Judged:
     """Bring what the rules look at together, and apply them."""
-    stage = _without_one_sided(stage)
+    stage = _with_usual_dampers(_without_one_sided(stage))
     sets, best = _leading(stage)
     plain = next((e for e in stage.explanations if not e.causes), None)
     off, (_, small) = inaccuracy_of_fit(stage, best), told_by_size(stage, best)
@@ -101,10 +102,24 @@ def _without_one_sided(stage: Stage) -> Stage:
     if not skew or not others or not fitted or needs(stage, best, skew) or not _one_sided(stage, best):
         return stage
     kept = [e for e in stage.explanations if not any(type(c) is SkewCoupling for c in e.causes)]
-    top = max(e.log_posterior for e in kept)
-    weight = [math.exp(e.log_posterior - top) for e in kept]
-    kept = [replace(e, probability=w / sum(weight)) for e, w in zip(kept, weight, strict=True)]
-    return replace(stage, explanations=kept)
+    return replace(stage, explanations=weighed(kept))
+
+
+def _with_usual_dampers(stage: Stage) -> Stage:
+    """The stage where dampers no larger than usual cost nothing for their place, if what leads turns a sensor's phase.
+
+    Dampings are off somewhere with certainty, and a damper at a sensor turns the phase of its residues: of as many
+    places as there are, each would be less likely than the same at a sensor's output.
+    """
+    if not any(c.slug in PHASES for c in standing_out(stage, _leading(stage)[1])):
+        return stage
+    total = sum(c.weight for c in stage.candidates if c.slug == "local_damper")
+    raised = []
+    for e in stage.explanations:
+        usual = [c for c in e.causes if c.slug == "local_damper" and c not in standing_out(stage, e)]
+        place = sum(math.log(min(c.weight / total, 1.0)) for c in usual)
+        raised.append(replace(e, log_posterior=e.log_posterior - place))
+    return replace(stage, explanations=weighed(raised))
 
 
 def _at_one_output(stage: Stage, e: Explanation) -> tuple[str, ...]:
