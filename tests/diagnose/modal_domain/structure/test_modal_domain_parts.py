@@ -471,3 +471,19 @@ def test_parts_of_a_simply_supported_beam_are_no_larger_than_the_beam(seed):
     parts = parts_of(K, nodes_of(tuple(dofs)))
     assert max(np.abs(p.matrix).max() for p in parts) < 1.01 * np.abs(K).max()
     assert sum(p.full(len(K)) for p in parts) == pytest.approx(K, abs=1e-8 * K.max())
+
+
+@pytest.mark.parametrize(
+    ("names", "axis", "nodes"),
+    [
+        (("N9u", "N9v", "N9phi", "N10u", "N10v", "N10phi"), [0, 1, 5, 0, 1, 5], 2),
+        (("1_u", "1_w", "1_theta", "2_u"), [0, 2, 4, 0], 2),
+        (("1u", "1v", "1w", "2u"), [0, 1, 2, 0], 2),
+        (("1u", "2u", "3u"), [-1, -1, -1], 3),  # one letter alone may count anything
+        (("1u", "1v", "1w", "1phi"), [-1, -1, -1, -1], 4),  # about which axis is not told
+        (("1u", "1v", "base"), [-1, -1, -1], 3),
+    ],
+)  # fmt: skip
+def test_displacements_of_a_plane_are_read_by_their_usual_letters(names, axis, nodes):
+    found = nodes_of(names)
+    assert found.axis.tolist() == axis and len(found.members) == nodes

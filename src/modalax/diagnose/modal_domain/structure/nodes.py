@@ -12,6 +12,8 @@ AXES = ("X", "Y", "Z", "RX", "RY", "RZ")
 # Names such as 12z, n3_ry or 12.RX, besides those written 12:+Z
 _SHORT = re.compile(r"(?P<node>.*?[^A-Za-z]|[A-Za-z]+?)[_.\- ]?(?P<direction>[rR]?[xyzXYZ])")
 _AHEAD = re.compile(r"u?(?P<turn>r|rot)?(?P<along>[xyz])[_.\- ]?(?P<node>\d+)", re.IGNORECASE)  # z12, rotx_3, ux4
+_IN_PLANE = re.compile(r"(?P<node>.*\d)[_.\- ]?(?P<way>[uvw]|phi|theta)", re.IGNORECASE)  # N9u, 3_phi
+_WAYS = {"u": "X", "v": "Y", "w": "Z"}
 
 
 @dataclass(frozen=True)
@@ -87,6 +89,9 @@ def _read(dofs: tuple[str, ...]) -> list[tuple[str, str | None, int]]:
     all names end in one, or the rest of that word ends in several.
     """
     names = [name.strip() for name in dofs]
+    plane = _read_in_plane(names)
+    if plane:
+        return plane
     alone = any(name.upper() in AXES[3:] for name in names)
     ahead = [_AHEAD.fullmatch(name) for name in names]
     numbered = [(m["node"], f"{'R' * bool(m['turn'])}{m['along'].upper()}") for m in ahead if m is not None]
@@ -109,6 +114,17 @@ def _read(dofs: tuple[str, ...]) -> list[tuple[str, str | None, int]]:
         else:
             found.append((name, None, 1))
     return found
+
+
+def _read_in_plane(names: list[str]) -> list[tuple[str, str | None, int]]:
+    """The same where all names end in u, v or w, and in one rotation about the axis that two of these leave."""
+    found = [m for m in map(_IN_PLANE.fullmatch, names) if m is not None]
+    ways = {m["way"].lower() for m in found}
+    straight, turns = sorted(_WAYS[way] for way in ways & set(_WAYS)), ways - set(_WAYS)
+    if len(found) < len(names) or len(straight) < 2 or len(turns) > 1 or (turns and len(straight) > 2):
+        return []
+    about = {way: f"R{next(x for x in 'XYZ' if x not in straight)}" for way in turns}
+    return [(m["node"], (_WAYS | about)[m["way"].lower()], 1) for m in found]
 
 
 def rigid_moves(a: np.ndarray, b: np.ndarray) -> np.ndarray:
