@@ -116,7 +116,8 @@ def _with_usual_dampers(stage: Stage) -> Stage:
     total = sum(c.weight for c in stage.candidates if c.slug == "local_damper")
     raised = []
     for e in stage.explanations:
-        usual = [c for c in e.causes if c.slug == "local_damper" and c not in standing_out(stage, e)]
+        out = standing_out(stage, e)
+        usual = [c for c in e.causes if c.slug == "local_damper" and c not in out]
         place = sum(math.log(min(c.weight / total, 1.0)) for c in usual)
         raised.append(replace(e, log_posterior=e.log_posterior - place))
     return replace(stage, explanations=weighed(raised))

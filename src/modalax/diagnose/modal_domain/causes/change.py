@@ -303,6 +303,20 @@ class Change:
         return np.zeros_like(residues)
 
 
+class Followed(Change):
+    """A cause of several sizes that is fitted where what was found leads to it, and not looked for at all places."""
+
+    @property
+    def screened(self) -> bool:
+        """Not at all places."""
+        return False
+
+    @property
+    def linear(self) -> bool:
+        """It has several sizes, which act together."""
+        return False
+
+
 def with_sizes(causes: Sequence[Change], u: np.ndarray) -> Iterator[tuple[Change, np.ndarray]]:
     """Each cause with its own sizes of all, shape ``(count,)``."""
     start = 0

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes.change import Change
+from modalax.diagnose.modal_domain.causes.change import Followed
 
 CROSS = -np.cross(np.eye(3)[:, None], np.eye(3)[None])  # of the components of c, which sum to [c]_x
 
 
 @dataclass(frozen=True)
-class RigidBody(Change):
+class RigidBody(Followed):
     """A mass at an offset from its node; its sizes are those of the mass, the offset and the radii of gyration.
 
     Attributes
@@ -41,16 +41,6 @@ class RigidBody(Change):
     def count(self) -> int:
         """Mass, components of the offset, and radii."""
         return 1 + len(self.axes) + len(self.turns)
-
-    @property
-    def screened(self) -> bool:
-        """Only where a mass leads."""
-        return False
-
-    @property
-    def linear(self) -> bool:
-        """It has several sizes."""
-        return False
 
     def possible(self, u: np.ndarray) -> bool:
         """It has mass."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes.change import UNITS, Change
+from modalax.diagnose.modal_domain.causes.change import UNITS, Followed
 
 
 def of_rows(sizes: np.ndarray) -> np.ndarray:
@@ -23,21 +23,20 @@ def of_rows(sizes: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class UnevenElement(Change):
-    """An element whose ways of being strained are off each by itself; its sizes are those of ``Z``.
+class WithinElement(Followed):
+    """A change within an element, followed where elements seem to be off unevenly.
 
     Attributes
     ----------
     ways
-        Changes by sizes of one, as :func:`modalax.diagnose.modal_domain.fitting.throughout.uneven_patterns` makes them,
-        shape ``(r (r + 1) / 2, n, n)``.
+        What each of its sizes changes, an array with one entry a size.
     """
 
-    ways: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 0)), compare=False)
+    ways: np.ndarray = field(default_factory=lambda: np.zeros(0), compare=False)
 
     @property
     def count(self) -> int:
-        """One for each way of being strained, and for each two of them."""
+        """One for each way of being changed."""
         return len(self.ways)
 
     @property
@@ -46,14 +45,21 @@ class UnevenElement(Change):
         return self.count
 
     @property
-    def screened(self) -> bool:
-        """Only where elements seem to be off unevenly."""
-        return False
+    def between(self) -> str:
+        """What the element joins."""
+        return " and ".join(map(str, self.where)) if len(self.where) > 1 else f"{self.where[0]} and the ground"
 
-    @property
-    def linear(self) -> bool:
-        """It has several sizes."""
-        return False
+
+@dataclass(frozen=True)
+class UnevenElement(WithinElement):
+    """An element whose ways of being strained are off each by itself; its sizes are those of ``Z``.
+
+    Attributes
+    ----------
+    ways
+        Changes by sizes of one, as :func:`modalax.diagnose.modal_domain.fitting.throughout.uneven_patterns` makes them,
+        shape ``(r (r + 1) / 2, n, n)``.
+    """
 
     def changes(self, u: np.ndarray) -> dict[str, np.ndarray]:
         """Change of the stiffness."""
@@ -87,15 +93,14 @@ class UnevenElement(Change):
 
     def said(self) -> str:
         """What would change an element so."""
-        between = " and ".join(map(str, self.where)) if len(self.where) > 1 else f"{self.where[0]} and the ground"
         return (
-            f"what joins {between} is off by unlike amounts in its different motions, which it couples: as where "
+            f"what joins {self.between} is off by unlike amounts in its different motions, which it couples: as where "
             "one of several members in parallel is wrong"
         )
 
 
 @dataclass(frozen=True)
-class OneMember(Change):
+class OneMember(WithinElement):
     r"""One spring of an element of several is softer or stiffer; its sizes are those of ``a`` in :math:`Z=\pm aa^T`.
 
     Attributes
@@ -108,29 +113,8 @@ class OneMember(Change):
         Whether the spring is stiffer than in the simulation.
     """
 
-    ways: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)), compare=False)
     moves: np.ndarray = field(default_factory=lambda: np.zeros((0, 6)), compare=False)
     stiffer: bool = False
-
-    @property
-    def count(self) -> int:
-        """One for each way of being strained."""
-        return len(self.ways)
-
-    @property
-    def telling(self) -> int:
-        """All of its sizes."""
-        return self.count
-
-    @property
-    def screened(self) -> bool:
-        """Only where elements seem to be off unevenly."""
-        return False
-
-    @property
-    def linear(self) -> bool:
-        """It has several sizes."""
-        return False
 
     @property
     def strength(self) -> float:
@@ -183,6 +167,6 @@ class OneMember(Change):
 
     def said(self) -> str:
         """What would change an element so."""
-        at = " and ".join(map(str, self.where)) if len(self.where) > 1 else f"{self.where[0]} and the ground"
         more = "stiffer" if self.stiffer else "softer"
-        return f"what joins {at} is {more} in one direction only, as where one of several springs there is {more}"
+        only = f"what joins {self.between} is {more} in one direction only"
+        return f"{only}, as where one of several springs there is {more}"
