@@ -7,6 +7,7 @@ from frames import measured, simulation
 from kinds import few_or_all
 
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.fitting import throughout
 from modalax.diagnose.modal_domain.fitting.explanation import Prior
 from modalax.diagnose.modal_domain.fitting.fit import fit
 from modalax.diagnose.modal_domain.fitting.inaccuracy import THROUGHOUT
@@ -139,3 +140,15 @@ def test_a_gain_of_one_of_two_inputs_is_preferred_to_factors_throughout():
     setting, found = beside_one_factor(task.setting, wide, fit(wide), task.candidates, Prior(task.candidates))
     assert not all_scaled(setting)
     assert [[(c.slug, c.where) for c in causes] for causes in found] == [[], [("force_gain", ("4:+Z",))]]
+
+
+@pytest.mark.parametrize(
+    ("x", "std", "told"), [(-0.3, 0.05, True), (-0.3, 0.2, False), (-4.9, 0.7, False), (2.0, 0.3, True)]
+)
+def test_a_factor_is_told_where_it_and_its_logarithm_are_surely_not_zero(monkeypatch, x, std, told):
+    """One that leaves a hundredth of the damping, known to a factor of two, says nothing: others take its place."""
+    monkeypatch.setattr(throughout, "_factors", lambda *_: (["damping"], np.array([x]), np.array([[std**2]])))
+    found = throughout.throughout_told(None, None)
+    assert list(found) == ["damping"] * told
+    for v in found.values():
+        assert v == {"value": pytest.approx(np.exp(-x) - 1), "std": pytest.approx(np.exp(-x) * std)}

@@ -231,12 +231,15 @@ def throughout_told(setting: Setting, f: Fit) -> dict[str, dict[str, float]]:
     """By how much the simulation's stiffness, mass or damping is too high throughout, where it surely is off.
 
     The value is :math:`e^{-x}-1`, the simulation relative to the structure: positive where the simulation is too stiff.
+    It is surely off where both ``x`` and the value are many of their deviations from zero: a factor that leaves next to
+    nothing of a matrix is known to no accuracy.
     """
     names, x, covariance = _factors(setting, f)
     told = {}
     for name, value, std in zip(names, x.tolist(), np.sqrt(np.diag(covariance)).tolist(), strict=True):
-        if abs(value) > THRESHOLDS.stands_out * std:
-            told[name] = {"value": float(np.expm1(-value)), "std": float(np.exp(-value) * std)}
+        off, error = float(np.expm1(-value)), float(np.exp(-value) * std)
+        if abs(value) > THRESHOLDS.stands_out * std and abs(off) > THRESHOLDS.stands_out * error:
+            told[name] = {"value": off, "std": error}
     return told
 
 
