@@ -11,7 +11,7 @@ from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.causes.channel_faults import Delay, Sign
 from modalax.diagnose.modal_domain.causes.joint_forces import PowerLawJoint, RelaxingJoint
 from modalax.diagnose.modal_domain.causes.line_forces import SkewCoupling
-from modalax.diagnose.modal_domain.fitting.explanation import Explanation
+from modalax.diagnose.modal_domain.fitting.explanation import SECOND, Explanation, Prior
 from modalax.diagnose.modal_domain.judged import _in_the_limit, _with_usual_dampers, _without_one_sided, standing_out
 
 SIGN, SPRING = Sign("channel_sign", ("3",), channel=(0, 2)), Change("joint_stiffness", ("1", "2"))
@@ -49,6 +49,7 @@ def couple(misfit=1.1):
 def test_losses_stand_out_where_the_modes_need_them_as_no_inaccuracy_has_them(monkeypatch, needed):
     monkeypatch.setattr(judged, "told_by_size", lambda stage, e: ((SIGN,), (SPRING, DAMPER, ABSENT)))
     monkeypatch.setattr(judged, "needs", lambda stage, e, small: needed)
+    monkeypatch.setattr(judged, "_outdone", lambda stage, e, cause: False)
     found = standing_out(None, explained(SIGN, SPRING, DAMPER, ABSENT))
     assert found == ((SIGN, DAMPER, ABSENT) if needed else (SIGN,))
 
@@ -58,6 +59,7 @@ def test_losses_stand_out_where_the_modes_need_them_as_no_inaccuracy_has_them(mo
 )
 def test_a_coupling_that_is_none_does_not_hide_what_explains_the_modes(monkeypatch, one_sided, misfit, left_out):
     monkeypatch.setattr(judged, "standing_out", lambda stage, e: e.causes)
+    monkeypatch.setattr(judged, "told_by_size", lambda stage, e: (e.causes, ()))
     monkeypatch.setattr(judged, "_one_sided", lambda stage, e: (SKEW.where,) if one_sided else ())
     found = _without_one_sided(couple(misfit)).explanations
     if not left_out:
@@ -108,7 +110,8 @@ def test_a_small_cause_that_the_modes_need_stays_in_what_the_frfs_are_corrected_
     stage = SimpleNamespace(explanations=[best, plain], odd=None, setting=SimpleNamespace(inaccuracy=None))
     off = {"stiffness": 0.01, "mass": 0.01, "damping": 0.1}
     for name, value in {
-        "_without_one_sided": lambda s: s, "_leading": lambda s: ((), best), "of_the_joint": lambda s, c: False,
+        "_without_one_sided": lambda s: s, "_with_usual_dampers": lambda s: s,
+        "_leading": lambda s: ((), best), "of_the_joint": lambda s, c: False,
         "inaccuracy_of_fit": lambda s, e: off, "told_by_size": lambda s, e: ((), ()), "claims_of": lambda i: {},
         "needs": lambda s, e, small: False, "_at_one_output": lambda s, e: (), "_as_a_factor": lambda s, e: None,
         "_one_sided": lambda s, e: (), "modal_verdict": lambda case: ("clean", ()),
@@ -164,21 +167,42 @@ def test_a_law_that_stands_twice_at_one_place_is_told_from_its_limit_too():
 
 
 @pytest.mark.parametrize(
-    ("large", "phase", "raised"), [(False, True, True), (True, True, False), (False, False, False)]
-)
-def test_a_damper_of_usual_size_costs_no_place_where_a_sensors_phase_leads(monkeypatch, large, phase, raised):
-    """One of a hundred places, where a delay at one of few sensors leads by three nats."""
-    delay = Delay("time_delay", ("3",), channel=(0, 2)) if phase else SIGN
+    ("large", "leads", "raised"), [(False, "phase", True), (True, "phase", False), (False, "sign", False),
+                                   (False, "nothing", True)]
+)  # fmt: skip
+def test_a_damper_of_usual_size_costs_nothing_where_a_sensors_phase_or_nothing_leads(monkeypatch, large, leads, raised):
+    """Beside a spring it is one of a hundred places, and a second cause, where a delay at one of few leads."""
+    delay = Delay("time_delay", ("3",), channel=(0, 2))
+    beside = {"phase": (SPRING, delay), "sign": (SPRING, SIGN), "nothing": (DAMPER,)}[leads]
     small = () if large else (DAMPER,)
     monkeypatch.setattr(judged, "standing_out", lambda stage, e: tuple(c for c in e.causes if c not in small))
-    stage = Told(
-        [explained(SPRING, delay, posterior=3.0), explained(SPRING, DAMPER)], [replace(DAMPER, weight=99.0), DAMPER]
-    )
+    places = [SPRING, delay, SIGN, replace(DAMPER, weight=99.0), DAMPER]
+    stage = Told([explained(*beside, posterior=3.0), explained(SPRING, DAMPER)], places)
     monkeypatch.setattr(judged, "_leading", lambda stage: ((), stage.explanations[0]))
     found = _with_usual_dampers(stage)
-    assert (found is stage) == (not phase)
-    by_damper = next(e for e in found.explanations if DAMPER in e.causes)
-    assert by_damper.log_posterior == pytest.approx(np.log(100.0) if raised else 0.0)
-    if phase:
-        odds = by_damper.probability / (1 - by_damper.probability)
-        assert odds == pytest.approx(np.exp(by_damper.log_posterior - 3.0))
+    assert (found is stage) == (leads == "sign")
+    by_damper = next(e for e in found.explanations if e.causes == (SPRING, DAMPER))
+    prior = Prior(places)
+    own = prior.of([SPRING]) - prior.of([SPRING, DAMPER])
+    assert own == pytest.approx(-np.log(SECOND / (1 - SECOND)) + np.log(100 * len(prior.kinds)))
+    assert by_damper.log_posterior == pytest.approx(own if raised else 0.0)
+    other = next(e for e in found.explanations if e is not by_damper)
+    odds = by_damper.probability / (1 - by_damper.probability)
+    if leads != "sign":
+        assert odds == pytest.approx(np.exp(by_damper.log_posterior - other.log_posterior))
+
+
+OFF = {"mass": 0.01, "damping": 0.1}
+
+
+@pytest.mark.parametrize(("without", "told"), [(0.3, True), (0.05, False)])
+@pytest.mark.parametrize("beside", [(), (DAMPER,)])
+def test_what_all_elements_would_have_to_be_off_far_more_without_stands_out(monkeypatch, without, told, beside):
+    """A spring across a slender rod is small beside what the rod is along itself; what may be none is no matter."""
+    best, plain = explained(SPRING, *beside), explained()
+    monkeypatch.setattr(judged, "told_by_size", lambda stage, e: ((), (SPRING,) if SPRING in e.causes else ()))
+    monkeypatch.setattr(judged, "needs", lambda stage, e, small: False)
+    monkeypatch.setattr(
+        judged, "inaccuracy_of_fit", lambda stage, e: OFF | {"stiffness": 0.02 if SPRING in e.causes else without}
+    )
+    assert standing_out(Few([best, plain]), best) == ((SPRING,) if told else ())

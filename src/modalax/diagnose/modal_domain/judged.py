@@ -1,5 +1,6 @@
 """What stands out in each explanation beyond the general inaccuracy, made ready for the verdict."""
 
+import itertools
 import math
 from dataclasses import dataclass, replace
 
@@ -17,7 +18,7 @@ from modalax.diagnose.decision.beyond import (
 from modalax.diagnose.modal_domain.causes.change import Change, own_sizes, with_sizes
 from modalax.diagnose.modal_domain.causes.line_forces import EvenCoupling, SkewCoupling
 from modalax.diagnose.modal_domain.causes.supports import SensorMasses
-from modalax.diagnose.modal_domain.fitting.explanation import Explanation, weighed
+from modalax.diagnose.modal_domain.fitting.explanation import Explanation, Prior, weighed
 from modalax.diagnose.modal_domain.fitting.fit import by_data, fit, without_causes
 from modalax.diagnose.modal_domain.fitting.inaccuracy import TOLD, USUAL, WITHIN, claims_of
 from modalax.diagnose.modal_domain.fitting.linear import LARGEST
@@ -106,20 +107,21 @@ def _without_one_sided(stage: Stage) -> Stage:
 
 
 def _with_usual_dampers(stage: Stage) -> Stage:
-    """The stage where dampers no larger than usual cost nothing for their place, if what leads turns a sensor's phase.
+    """The stage where dampers no larger than usual cost nothing, if nothing leads, or what turns a sensor's phase.
 
     Dampings are off somewhere with certainty, and a damper at a sensor turns the phase of its residues: of as many
-    places as there are, each would be less likely than the same at a sensor's output.
+    places as there are, each would be less likely than the same at a sensor's output. Beside one a second cause would
+    be one too many, however much the data ask for it.
     """
-    if not any(c.slug in PHASES for c in standing_out(stage, _leading(stage)[1])):
+    leading = _leading(stage)[1]
+    out = standing_out(stage, leading)
+    if not (any(c.slug in PHASES for c in out) or (leading.causes and not out)):
         return stage
-    total = sum(c.weight for c in stage.candidates if c.slug == "local_damper")
-    raised = []
+    prior, raised = Prior(stage.candidates), []
     for e in stage.explanations:
-        out = standing_out(stage, e)
-        usual = [c for c in e.causes if c.slug == "local_damper" and c not in out]
-        place = sum(math.log(min(c.weight / total, 1.0)) for c in usual)
-        raised.append(replace(e, log_posterior=e.log_posterior - place))
+        some = standing_out(stage, e)
+        others = [c for c in e.causes if c.slug != "local_damper" or c in some]
+        raised.append(replace(e, log_posterior=e.log_posterior - prior.of(e.causes) + prior.of(others)))
     return replace(stage, explanations=weighed(raised))
 
 
@@ -230,16 +232,36 @@ def standing_out(stage: Stage, e: Explanation) -> tuple[Change, ...]:
     """Causes of an explanation that are larger than usual, surely not zero, and no joint's own linear part.
 
     Where the modes are not explained without them, springs where the simulation has none stand out as well, and losses
-    at a place, which are no part of an inaccuracy that has the damping off mode by mode.
+    at a place, which are no part of an inaccuracy that has the damping off mode by mode. So does what all elements
+    would have to be off far more without: a spring across a slender rod is small beside what the rod is along itself.
     """
     out, small = told_by_size(stage, e)
     needed = small if needs(stage, e, small) else ()
-    return tuple(c for c in e.causes if c in out or (c in needed and (c.absent or c.dissipates)))
+    lone = [c for c in small if (c in needed and (c.absent or c.dissipates)) or _outdone(stage, e, c)]
+    return tuple(c for c in e.causes if c in out or c in lone)
+
+
+def _outdone(stage: Stage, e: Explanation, cause: Change) -> bool:
+    """Whether stiffness or mass would have to be off in general beyond any usual size without one cause.
+
+    One element that is off no more than others are hardly changes how much these are off in general.
+    """
+    own, without = inaccuracy_of_fit(stage, e), [inaccuracy_of_fit(stage, x) for x in _without(stage, e, (cause,))]
+    return bool(without) and all(
+        max(x[name] / max(own[name], USUAL[name]) for name in ("stiffness", "mass")) > THRESHOLDS.beyond
+        for x in without
+    )
+
+
+def _without(stage: Stage, e: Explanation, some: tuple[Change, ...]) -> list[Explanation]:
+    """Explanations by the other causes of one, with or without those that may be none within their errors."""
+    most, sure = set(e.causes) - set(some), set(itertools.chain(*told_by_size(stage, e))) - set(some)
+    return [x for x in stage.explanations if sure <= set(x.causes) <= most]
 
 
 def needs(stage: Stage, e: Explanation, small: tuple[Change, ...]) -> bool:
     """Whether an explanation without some of its causes leaves the measured modes unexplained."""
-    without = [x.misfit for x in stage.explanations if set(x.causes) == set(e.causes) - set(small)] if small else []
+    without = [x.misfit for x in _without(stage, e, small)] if small else []
     return bool(without) and min(without) > THRESHOLDS.misfit >= e.misfit
 
 

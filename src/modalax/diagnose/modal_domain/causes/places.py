@@ -153,7 +153,7 @@ def _elements(simulation: Simulation, c: Coordinates, nodes: Nodes, parts: list[
     out = softened_elements(simulation, c, JOINT)
     ends = flexible_ends(parts, nodes, simulation.dofs, c, JOINT)
     parts = parts if not out else []
-    for part in (p for p in parts if len(p.nodes) == 2 and len(p.dofs) > 2):
+    for part in (p for p in parts if len(p.nodes) > 1 and len(p.dofs) > 2):
         for p in (part, *planes_of(part, nodes)):
             where = tuple(simulation.dofs[k] for k in ends_of(p, nodes))
             pattern = c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs]

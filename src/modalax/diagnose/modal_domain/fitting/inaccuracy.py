@@ -202,7 +202,7 @@ def _named(pieces: list[Part], simulation: Structure, nodes: Nodes) -> list[tupl
     """Where each is, as causes are told: at two DoFs of one direction, or at one."""
     axis, out = nodes_of(simulation.dofs).axis, []
     for p in pieces:
-        ends = ends_of(p, nodes) if len(p.nodes) == 2 else ()
+        ends = ends_of(p, nodes) if len(p.nodes) > 1 else ()
         out.append(tuple(simulation.dofs[k] for k in ends or (p.dofs[np.argmin(axis[p.dofs])],)))
     return out
 

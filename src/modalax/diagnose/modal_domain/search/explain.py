@@ -26,8 +26,8 @@ from modalax.diagnose.modal_domain.fitting.throughout import (
     with_more,
 )
 from modalax.diagnose.modal_domain.search.attached_bodies import attached_bodies
-from modalax.diagnose.modal_domain.search.heavy_elements import heavy_elements
 from modalax.diagnose.modal_domain.search.oscillators import acting_alike, attached, attached_beside
+from modalax.diagnose.modal_domain.search.outlying_elements import outlying_elements
 from modalax.diagnose.modal_domain.search.refitted import (
     AGAIN,
     Finer,
@@ -123,7 +123,7 @@ def _searched(
         if not late():
             _without_a_gain(search)
             off_unevenly(search, late)
-            heavy_elements(search, late)
+            outlying_elements(search, late)
             attached_bodies(search, late)
         if late():  # which may have cut the fit of what leads short: others are compared with it
             best = search.best

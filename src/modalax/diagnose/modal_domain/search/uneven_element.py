@@ -52,7 +52,7 @@ def _farthest(search: Search, f: Fit) -> list[tuple[Change, np.ndarray]]:
     out: list[tuple[Change, np.ndarray]] = []
     for k in np.argsort(-far)[:FEW].tolist():
         among = [wholes[k], *(pieces[number == k] if len(pieces) != len(wholes) else [])]
-        told = [c for P in among for c in search.candidates if _is_of(c, P)]
+        told = [c for P in among for c in search.candidates if is_of(c, P)]
         if not told or far[k] == 0:
             continue
         if ranks[k] <= MOST_WAYS:
@@ -90,7 +90,7 @@ def _springs(c: Coordinates, P: np.ndarray, sizes: np.ndarray, told: Change) -> 
     return out
 
 
-def _is_of(cause: Change, P: np.ndarray) -> bool:
+def is_of(cause: Change, P: np.ndarray) -> bool:
     """Whether a cause is a change of an element, or of a piece of it, by the whole."""
     if type(cause) is not Change or cause.kind != "K" or cause.absent:
         return False

@@ -1,8 +1,9 @@
 r"""Parts that a matrix is made of, each of which may be off by itself: its elements, and local parts of the others.
 
-Beams, bars and springs are read off a matrix (:mod:`modalax.diagnose.modal_domain.structure.elements`). Elements of
-more than two nodes, as of plates and solids, and those of a condensed matrix are not: read pair by pair their parts
-would give energy away. What such parts sum to is shared out among the nodes instead.
+Beams, bars and springs are read off a matrix (:mod:`modalax.diagnose.modal_domain.structure.elements`), and plates of
+four corners (:mod:`modalax.diagnose.modal_domain.structure.four_cornered`). Other elements of more than two nodes, as
+of solids, and those of a condensed matrix are not: read pair by pair their parts would give energy away. What such
+parts sum to is shared out among the nodes instead.
 """
 
 import itertools
@@ -13,6 +14,7 @@ import scipy.sparse.csgraph
 from modalax._numerics.remembered import remembered
 from modalax.diagnose.modal_domain.structure.element_masses import mass_parts
 from modalax.diagnose.modal_domain.structure.elements import Part, stiffness_parts
+from modalax.diagnose.modal_domain.structure.four_cornered import four_cornered
 from modalax.diagnose.modal_domain.structure.nodes import NEGLIGIBLE, Nodes
 
 MANY = 7  # coupled nodes, itself among them, beyond which a node's elements cannot be told apart
@@ -46,13 +48,22 @@ def parts_of(A: np.ndarray, nodes: Nodes, mass: bool = False) -> list[Part]:
     if not meshed:
         return read
     known = [p for p, ok in zip(read, sound, strict=True) if ok and not meshed >= set(p.nodes)]
-    rest = A - sum((p.full(len(A)) for p in known), np.zeros_like(A))
+    rest = A - _sum(known, len(A))
     if not passive(rest, diagonal):
         known, rest = [], A
     rest = without_rounding(rest, diagonal)
     springs = [] if mass else supports(rest, nodes)
-    rest = without_rounding(rest - sum((p.full(len(A)) for p in springs), np.zeros_like(A)), diagonal)
-    return known + springs + local_parts(rest, nodes)
+    rest = without_rounding(rest - _sum(springs, len(A)), diagonal)
+    plates = [] if mass else four_cornered(rest, nodes)
+    left = without_rounding(rest - _sum(plates, len(A)), diagonal)
+    if not passive(left, diagonal):
+        plates, left = [], rest
+    return known + springs + plates + local_parts(left, nodes)
+
+
+def _sum(parts: list[Part], size: int) -> np.ndarray:
+    """What parts sum to, over all DoFs."""
+    return sum((p.full(size) for p in parts), np.zeros((size, size)))
 
 
 def without_rounding(A: np.ndarray, size: np.ndarray) -> np.ndarray:
@@ -122,7 +133,7 @@ def apart(p: Part, nodes: Nodes, mass: bool = False) -> list[Part]:
         one = [k for k in every if moves[k].any()]
         every = [k for k in every if not moves[k].any()] + ([np.sort(np.concatenate(one))] if one else [])
     each = [p] if len(every) < 2 else [Part(p.nodes, p.dofs[k], p.matrix[np.ix_(k, k)]) for k in every]
-    return each if mass or len(p.nodes) < 2 else [q for piece in each for q in levers_of(piece, nodes) or [piece]]
+    return each if mass or len(p.nodes) != 2 else [q for piece in each for q in levers_of(piece, nodes) or [piece]]
 
 
 def is_spring(p: Part) -> bool:
@@ -133,11 +144,12 @@ def is_spring(p: Part) -> bool:
 def ends_of(p: Part, nodes: Nodes) -> tuple[int, ...]:
     """The two DoFs of one direction that the largest piece of an element couples most, displacements before rotations.
 
-    Empty where it couples none between its two nodes.
+    Empty where it couples none between its two nodes, or the first and the last of several, which are opposite corners.
     """
     unit, axis = _coupling(p), nodes.axis[p.dofs]
     main, first = max(_pieces(p), key=len), np.isin(p.dofs, nodes.members[p.nodes[0]])
-    alike = (axis[:, None] == axis) & first[:, None] & ~first
+    last = ~first if len(p.nodes) == 2 else np.isin(p.dofs, nodes.members[p.nodes[-1]])
+    alike = (axis[:, None] == axis) & first[:, None] & last
     unit[~np.isin(np.arange(len(axis)), main)] *= NEGLIGIBLE
     unit[axis > 2] *= NEGLIGIBLE
     i, j = np.unravel_index(np.argmax(np.where(alike, unit, -1.0)), unit.shape)

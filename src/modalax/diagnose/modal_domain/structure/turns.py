@@ -24,9 +24,9 @@ MOST_DOFS = 6  # of one node
 MANY = 0.4  # share of the rotations of one kind that bend something
 FEW = 80  # nodes up to which other axes of rotation are tried than the names tell
 SOUND = 1e-6  # energy that an element may give away, or stiffness that none holds, relative to the diagonal
-# A node and a letter or word for the direction, as in 3w, 3:X+, N3_UX, or its number, as in 3-T1, 3.4; or w3, theta_3
+# A node and a letter or word for the direction, as in 3w, 3:X+, 3:+TX, N3_UX, or its number, as in 3.4; or w3, theta_3
 _PATTERNS = (
-    re.compile(r"(?P<node>.*\d)[_.:\- ]*(?P<kind>[A-Za-z]+)[+]?"),
+    re.compile(r"(?P<node>.*\d)[_.:\- ]*[+]?(?P<kind>[A-Za-z]+)[+]?"),
     re.compile(r"(?P<node>.*\d)[_.:\- ]+(?P<kind>[A-Za-z]*[1-6])"),
     re.compile(r"(?P<kind>[A-Za-z]+)[_.\- ]*(?P<node>\d.*)"),
 )
