@@ -259,7 +259,7 @@ def _damping(c: Coordinates, highest: float, turned: np.ndarray) -> tuple[np.nda
     """Patterns of each mode's damping, of couplings of close modes, and of such between all, shapes ``(p, n, n)``.
 
     Of modes in the band and others near them. ``turned`` is what close modes have, as :func:`_turned` tells it, over
-    what their own dampings are off by.
+    what their own dampings are off by. What couples modes in the simulation, as its own dampers do, is off like these.
     """
     own = np.sqrt(np.maximum(np.diag(c.damping), NEGLIGIBLE))
     inside = int(np.count_nonzero(c.frequencies < highest))
@@ -269,7 +269,9 @@ def _damping(c: Coordinates, highest: float, turned: np.ndarray) -> tuple[np.nda
         every[k, r, s] = every[k, s, r] = own[r] * own[s]
     shares = np.array([turned[pair] for pair in pairs])
     close = shares > CLOSE
-    return own_damping(c, highest), shares[close, None, None] * every[close], BETWEEN * every
+    simulated = np.array([c.damping[r, s] / max(own[r] * own[s], NEGLIGIBLE) for r, s in pairs])
+    between = np.hypot(BETWEEN, simulated)[:, None, None] * every
+    return own_damping(c, highest), shares[close, None, None] * every[close], between
 
 
 def own_damping(c: Coordinates, highest: float) -> np.ndarray:
