@@ -126,3 +126,14 @@ def test_a_structure_without_damping_or_modes_in_band_has_no_such_length():
     assert promising_lengths(state.sides[False], still, 0 * null.theta)[2] == 0
     far = eqx.tree_at(lambda p: p.modal_form.stiffness, comparison.pooled, 100 * form.stiffness)
     assert not len(promising_lengths(state.sides[False], far, 0 * null.theta)[0])
+
+
+def test_a_mode_that_hardly_decays_asks_for_no_more_lengths_than_there_is_time_for(monkeypatch):
+    """All up to where it had decayed were formed before most of them were left out, and took 429 GiB."""
+    comparison, null, state = compared()
+    form = comparison.problem.modal_form
+    still = eqx.tree_at(lambda p: p.modal_form.damping, comparison.pooled, 1e-9 * form.damping)
+    monkeypatch.setattr(record_lengths, "LOUD", np.inf)
+    monkeypatch.setattr(record_lengths, "WORK", 1e6)
+    lengths, _, count = promising_lengths(state.sides[False], still, 0 * null.theta)
+    assert 0 < count < 1e6 / 150 and lengths.min() > 1e8

@@ -62,8 +62,9 @@ def promising_lengths(residual: Residual, problem: Problem, theta: np.ndarray) -
     if not len(seen):
         return none, none, 0.0
     apart = RIPPLE * 2 * np.pi / (omega[-1] - omega[0])
-    lengths = np.arange(seen[0], seen[-1] + apart, apart)
-    lengths = lengths[-max(int(WORK / product.size), 1) :]  # shorter ones show anyway
+    last = int((seen[-1] - seen[0]) / apart) + 1  # of a mode that hardly decays there are too many to be kept
+    shortest = max(last + 1 - max(int(WORK / product.size), 1), 0)  # shorter ones show anyway
+    lengths = seen[0] + apart * np.arange(shortest, last + 1)
     side = min(max(int(AT_ONCE / len(omega)), 1), len(lengths))
     turn, gains = np.exp(-1j * apart * np.outer(np.arange(side), omega)), np.empty(len(lengths))
     for k in range(0, len(lengths), side):

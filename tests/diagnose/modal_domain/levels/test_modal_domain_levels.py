@@ -13,6 +13,7 @@ from frames import DOFS, measured, simulation
 from modalax.data import Measurement
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.deadline import Deadline
+from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
 from modalax.diagnose.modal_domain.levels import explain
 from modalax.diagnose.modal_domain.levels import seen as seen_module
@@ -24,6 +25,7 @@ from modalax.diagnose.modal_domain.levels.laws import LOWER, LawFit, regressed, 
 from modalax.diagnose.modal_domain.levels.motion import Motion, seen_force
 from modalax.diagnose.modal_domain.levels.seen import joint_and_structure
 from modalax.diagnose.modal_domain.levels.series import in_series
+from modalax.diagnose.modal_domain.levels.slipping import part_of_joint
 from modalax.diagnose.modal_domain.levels.weigh import STEEP, _best, off_folds, set_aside
 from modalax.model import Structure
 from modalax.simulate import joints, simulate
@@ -375,3 +377,11 @@ def test_what_is_found_without_the_joint_is_kept_where_it_describes_the_levels_n
     )  # fmt: skip
     assert seen.joint.log_posterior == kept
     assert (setting == "alone") == (measured is freed) == (kept == later)
+
+
+@pytest.mark.parametrize("slug", ["joint_stiffness", "local_damper", "maxwell_joint", "hysteretic_joint"])
+def test_what_a_joint_does_at_any_level_is_no_second_cause(slug):
+    """One that slips at the lowest level already loses energy there; a relaxing joint had been told beside it."""
+    assert part_of_joint(Change(slug, ("2", "5")), ("5", "2"))
+    assert not part_of_joint(Change(slug, ("2", "4")), ("5", "2"))
+    assert not part_of_joint(Change("added_mass", ("2",)), ("2",))

@@ -1,5 +1,7 @@
 """Measured modes that the simulation has not: one close to another, also beside a second cause, and several."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from chains_off import FREQ, as_measured, chain_off, response, simulation
@@ -48,6 +50,15 @@ def test_each_of_two_close_modes_is_compared_by_itself(data, measured):
     again = reidentified(apart, np.asarray(data.H), 0.0 * np.asarray(data.H)[0].real)
     assert not again.features.grouped.any() and np.allclose(again.features.poles, apart.features.poles, rtol=1e-6)
     assert told_one_by_one(identified(with_a_mode(3, extra=0.0), simulation(), lambda _: None)) is None
+
+
+def test_no_more_modes_are_found_again_than_the_simulation_lets_expect(data, measured):
+    """What a joint that was taken out leaves about each peak had become modes, as many as a band can hold."""
+    H, wave = np.asarray(data.H), np.exp(0.4j * np.sin(np.arange(len(FREQ)) / 3))[:, None, None]
+    assert measured.most == 2 * 5 + 12
+    own = len(measured.modes.poles)
+    found = {n: len(reidentified(replace(measured, most=n), H * wave, 0.0 * H[0].real).modes.poles) for n in (own, 22)}
+    assert found[own] <= own < found[22] <= 22
 
 
 def test_a_simulation_of_fewer_modes_lacks_one(data, measured):

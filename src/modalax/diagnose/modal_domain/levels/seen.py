@@ -175,7 +175,7 @@ def joint_and_structure(
         setting, _, explanations = explain(setting, some, late, tell)
         after = look(measured, setting, explanations[0].fit, seen, taken is not None) if explanations else None
         raw = after if _better(after, raw) else raw
-    if raw is not None and explanations and not late():
+    if raw is not None and explanations:  # a few fits, whatever the time
         explanations = with_springs(setting, explanations, raw.found, candidates)
     told_from = explanations[0].causes if explanations else ()
     explanations, seen = beside(explanations, raw, prior)

@@ -24,9 +24,11 @@ from modalax.diagnose.modal_domain.fitting.state import Setting
 from modalax.diagnose.modal_domain.levels.explain import ByLevel, JointFound
 from modalax.diagnose.modal_domain.levels.laws import LawFit
 from modalax.diagnose.modal_domain.search.explain import further
+from modalax.diagnose.modal_domain.search.force_places import JOINTS
 
 SLIPPING = (ElastoSlip, IwanMicroSlip)  # laws of a spring that slips
-LINEAR_PART = "joint_stiffness", "local_damper"  # what a joint may do at any amplitude
+# What a joint may do at any amplitude; one that slips at the lowest level already is a spring that loses energy there
+LINEAR_PART = "joint_stiffness", "local_damper", *JOINTS
 LIKELY = 1e-3  # probability of a joint by level from which its spring is looked for
 EITHER = math.log(0.5)  # of a spring that the simulation has, or lacks
 
@@ -62,7 +64,7 @@ def same_place(one: Sequence[Any], other: Sequence[Any]) -> bool:
 
 
 def part_of_joint(c: Change, where: Sequence[str]) -> bool:
-    """Whether a cause is a spring or damper at a joint's place: what that joint does at any level."""
+    """Whether a cause is a spring, damper or loss at a joint's place: what that joint does at any level."""
     return c.slug in LINEAR_PART and same_place(c.where, where)
 
 

@@ -61,6 +61,8 @@ class Measured:
         Modes know of it, single lines do not.
     apart
         Whether close modes that are known one by one are told so.
+    most
+        How many modes there may be.
     """
 
     freq: np.ndarray
@@ -73,6 +75,7 @@ class Measured:
     unlike: float
     shared: float = 1.0
     apart: bool = False
+    most: int = MOST
 
 
 def identify(measurement: Measurement, c: Coordinates | None) -> Measured:
@@ -140,7 +143,8 @@ def _identified(measurement: Measurement, c: Coordinates | None, highest: bool =
     if not len(modes.poles):
         raise ValueError("no mode stands out of the noise in the band")
     left, features = _features(modes, channels, H.shape[2:])
-    return Measured(np.asarray(measurement.freq), noise, channels, modes, left, features, runs, unlike, shared)
+    freq = np.asarray(measurement.freq)
+    return Measured(freq, noise, channels, modes, left, features, runs, unlike, shared, most=most)
 
 
 def too_small(modes: Projected, channels: Channels) -> float | None:
@@ -205,7 +209,7 @@ def reidentified(measured: Measured, H: np.ndarray, error: np.ndarray) -> Measur
     c, sigma = measured.channels, measured.noise.sigma[measured.runs] * np.sqrt(measured.shared)
     sigma = np.where(sigma > 0, np.hypot(sigma, error), 0.0)
     channels = channels_of(c.s, H[measured.runs], sigma, c.order, c.outside)
-    modes = one_each(blind_modes(channels, measured.modes.poles), channels)
+    modes = one_each(blind_modes(channels, measured.modes.poles, measured.most), channels)
     left, features = _features(modes, channels, H.shape[2:], measured.apart)
     return replace(measured, channels=channels, modes=modes, misfit=left, features=features)
 
