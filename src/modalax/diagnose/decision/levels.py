@@ -83,8 +83,8 @@ class LevelsCase:
             )
         told = (
             *self.observed,
-            f"{cause_at(self.law, self.where)} explains it (probability {self.law_probability:.3f} of the law, "
-            f"{self.place_probability:.3f} of the place)",
+            f"of all laws and places {cause_at(self.law, self.where)} describes it best (probability "
+            f"{self.law_probability:.3f} of the law, {self.place_probability:.3f} of the place)",
         )
         if self.aside:
             lines = "1 line was" if self.aside == 1 else f"{self.aside} lines were"

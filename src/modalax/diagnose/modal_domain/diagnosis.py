@@ -13,7 +13,7 @@ from modalax.diagnose.decision.beyond import held_out_verdict, lines_verdict, on
 from modalax.diagnose.decision.levels import outweighing
 from modalax.diagnose.decision.omnibus import omnibus
 from modalax.diagnose.modal_domain.answer import Facts, ModalDiagnosis
-from modalax.diagnose.modal_domain.causes.change import UNITS, with_sizes
+from modalax.diagnose.modal_domain.causes.change import UNITS, Change, with_sizes
 from modalax.diagnose.modal_domain.corrected import extension_of, frf_of, inaccuracy_said, inaccuracy_told
 from modalax.diagnose.modal_domain.fitting.attempts import explains
 from modalax.diagnose.modal_domain.fitting.explanation import NONE
@@ -43,6 +43,7 @@ OF_MODES = (
     "the simulation is given as modes: what modes above its last add to each FRF is taken from the measurement, and a "
     "change of one of its elements is told as general inaccuracy, or as the spring or mass that comes nearest to it"
 )
+AS_STIFF = "loss", "N/m"  # how the size of a joint that loses energy is told: its force over the displacement
 ROUNDS = 3  # most in which a force, and the structure without it, are looked for
 
 
@@ -202,6 +203,12 @@ def _missed_alone(stage: Stage, residual: np.ndarray, asked: bool) -> tuple[Stag
     return replace(stage, odd=odd), () if odd is None else (odd.said,)
 
 
+def _joints_own(c: Change, u: np.ndarray) -> str:
+    """A cause that is what a joint does at any level."""
+    unit = UNITS.get(c.slug, AS_STIFF)[1]
+    return f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {unit} counts as that joint's own at low amplitude"
+
+
 def _diagnosed(
     measurement: Measurement, task: _Task, forced: Forced | None = None, measured: Measured | None = None,
     before: np.ndarray | None = None,
@@ -228,10 +235,8 @@ def _diagnosed(
     likeliest = judged.likeliest.fit
     reasons = [inaccuracy_said(inaccuracy), *outlying_said(stage.setting, likeliest)] if explained else []
     reasons += [*throughout_said(throughout), *judged.reasons, *further]
-    reasons += [
-        f"{cause_at(c.slug, c.where)} of {c.size(u):.3g} {UNITS[c.slug][1]} counts as that joint's own at low amplitude"
-        for c, u in with_sizes(chosen.causes, chosen.fit.u) if of_the_joint(stage, c) and stage.whole is None
-    ]  # fmt: skip
+    sized = with_sizes(chosen.causes, chosen.fit.u) if stage.whole is None else ()
+    reasons += [_joints_own(c, u) for c, u in sized if of_the_joint(stage, c)]
     if word != "clean":
         reasons += [c.said() for c in standing_out(stage, chosen) if c.said()]
     if not stage.in_time:

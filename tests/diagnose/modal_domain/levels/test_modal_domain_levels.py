@@ -14,7 +14,7 @@ from modalax.data import Measurement
 from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContact, QuadraticDamping
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes.change import Change
-from modalax.diagnose.modal_domain.diagnosis import diagnose_modes
+from modalax.diagnose.modal_domain.diagnosis import _joints_own, diagnose_modes
 from modalax.diagnose.modal_domain.levels import explain
 from modalax.diagnose.modal_domain.levels import seen as seen_module
 from modalax.diagnose.modal_domain.levels.answer import causes_told
@@ -383,5 +383,7 @@ def test_what_is_found_without_the_joint_is_kept_where_it_describes_the_levels_n
 def test_what_a_joint_does_at_any_level_is_no_second_cause(slug):
     """One that slips at the lowest level already loses energy there; a relaxing joint had been told beside it."""
     assert part_of_joint(Change(slug, ("2", "5")), ("5", "2"))
+    unit = "N s/m" if slug == "local_damper" else "N/m"
+    assert f"{slug} at 2 - 5 of 3 {unit} counts" in _joints_own(Change(slug, ("2", "5")), np.array([3.0]))
     assert not part_of_joint(Change(slug, ("2", "4")), ("5", "2"))
     assert not part_of_joint(Change("added_mass", ("2",)), ("2",))
