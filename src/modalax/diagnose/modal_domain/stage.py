@@ -220,6 +220,11 @@ def _odd(
     return max((o for o in (odd, turned) if o is not None), key=lambda o: o.nats, default=None)
 
 
+def told_wrongly(by_modes: float, by_lines: float) -> bool:
+    """Whether measured modes that an explanation misses are not what the lines show: no channel is odd for that."""
+    return by_lines < THRESHOLDS.misfit < by_modes
+
+
 def _lacking(
     measurement: Measurement, simulation: Simulation, measured: Measured, wanted: Callable[[str], bool], several: bool,
 ) -> tuple[Measured, Posed, Found] | None:  # fmt: skip
@@ -299,8 +304,9 @@ def _searched(
     if not early.seen:
         if not alone:  # whose lines hold further modes, the phase of which nobody knows
             explanations = damping_by_lines(setting, explanations, measured, late)
-        odd = _odd(measurement, simulation, setting, explanations, late)
+        odd, missed = _odd(measurement, simulation, setting, explanations, late), explanations[0].misfit
         setting, explanations = leading_on_lines(setting, explanations, measured, late)
+        odd = None if told_wrongly(missed, explanations[0].misfit) else odd
     try:
         before = explanations
         measured, setting, explanations, seen = joint_and_structure(

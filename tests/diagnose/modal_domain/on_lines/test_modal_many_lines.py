@@ -15,10 +15,10 @@ from modalax.diagnose.modal_domain.odd_channels.odd_channel import is_of_the_str
 from modalax.diagnose.modal_domain.on_lines import lines as module
 from modalax.diagnose.modal_domain.on_lines import polish
 from modalax.diagnose.modal_domain.on_lines.lines import lines_of
-from modalax.diagnose.modal_domain.on_lines.polish import chi2_of, on_lines
+from modalax.diagnose.modal_domain.on_lines.polish import chi2_of, leading_on_lines, on_lines
 from modalax.diagnose.modal_domain.search import starts
 from modalax.diagnose.modal_domain.search.screen import finite
-from modalax.diagnose.modal_domain.stage import identified, posed
+from modalax.diagnose.modal_domain.stage import identified, posed, told_wrongly
 from modalax.diagnose.modal_domain.structure.many_lines import MANY, by_poles, receptance
 
 S = 2j * np.pi * np.linspace(3.0, 120.0, MANY + 50)
@@ -76,6 +76,20 @@ def test_every_so_many_lines_bend_no_fit_that_explains_all(fitted, monkeypatch):
     assert left[1] - left[2] < 0.5 * (left[0] - left[2])
     monkeypatch.setattr(polish, "AS_MODES", 0.0)
     assert chi2_of(task.setting, on_lines(task.setting, f, few, NEVER), every) <= left[2]
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_what_is_left_of_modes_is_no_more_than_lines_leave_beyond_them(fitted, right, monkeypatch):
+    """Modes that lie close together may be told wrongly: a right element had been `unknown`, beside an odd force."""
+    modes, task, f = fitted
+    wrong = f if right else replace(f, u=0.5 * f.u, sizes=0.5 * f.sizes)
+    monkeypatch.setattr(polish, "on_lines", lambda setting, f, lines, late: f)
+    (_, (taken,)) = leading_on_lines(task.setting, [Explanation(wrong, 0.0, 1.0, misfit=11.0)], modes, NEVER)
+    left = chi2_of(task.setting, taken.fit, lines_of(modes.channels, task.setting))
+    beyond = left - modes.misfit * modes.channels.samples
+    assert taken.misfit == pytest.approx(np.clip(beyond / f.state.difference.size, 0.0, 11.0))
+    assert (taken.misfit < 0.5) == right
+    assert told_wrongly(11.0, taken.misfit) == right and not told_wrongly(0.7, taken.misfit)
 
 
 def test_causes_compared_together_are_compared_as_each_by_itself(fitted):

@@ -121,7 +121,9 @@ def leading_on_lines(
 ) -> tuple[Setting, list[Explanation]]:
     """The likely explanations taken on to the lines; their probabilities stay those by the modes.
 
-    A rest that no element explains is fitted there beside all else: the setting that is given back holds it.
+    A rest that no element explains is fitted there beside all else: the setting that is given back holds it. What an
+    explanation leaves of the modes is no more than it leaves on the lines beyond what these leave there: modes that lie
+    close together may be told wrongly, and all lines be explained.
     """
     out, apart = list(explanations), setting.rest > MATTERS
     if apart:
@@ -134,7 +136,10 @@ def leading_on_lines(
         again = fit(setting, e.causes, e.fit, e.fit.u, temperatures=()) if apart else None
         nearer = again is not None and chi2_of(setting, again, lines) < chi2_of(setting, e.fit, lines)
         start = again if nearer and again is not None else e.fit
-        out[k] = replace(e, fit=on_lines(setting, start, lines, late if k else NEVER))
+        taken = on_lines(setting, start, lines, late if k else NEVER)
+        every = lines.whole or lines
+        beyond = max(chi2_of(setting, taken, every) - every.left * every.samples, 0.0)
+        out[k] = replace(e, fit=taken, misfit=min(e.misfit, beyond / max(taken.state.difference.size, 1)))
     return setting, out
 
 
