@@ -15,7 +15,7 @@ from modalax.diagnose.causes.joints import CubicStiffness, ElastoSlip, GapContac
 from modalax.diagnose.deadline import Deadline
 from modalax.diagnose.modal_domain.causes.change import Change
 from modalax.diagnose.modal_domain.diagnosis import _joints_own, diagnose_modes
-from modalax.diagnose.modal_domain.levels import explain
+from modalax.diagnose.modal_domain.levels import explain, laws
 from modalax.diagnose.modal_domain.levels import seen as seen_module
 from modalax.diagnose.modal_domain.levels.answer import causes_told
 from modalax.diagnose.modal_domain.levels.balance import ORDERS
@@ -387,3 +387,8 @@ def test_what_a_joint_does_at_any_level_is_no_second_cause(slug):
     assert f"{slug} at 2 - 5 of 3 {unit} counts" in _joints_own(Change(slug, ("2", "5")), np.array([3.0]))
     assert not part_of_joint(Change(slug, ("2", "4")), ("5", "2"))
     assert not part_of_joint(Change("added_mass", ("2",)), ("2",))
+
+
+def test_a_law_that_does_nothing_on_fewer_lines_is_not_sought_on_more():
+    """It had begun at the logarithm of zero, and warned the user of a division by it."""
+    assert laws._sought(ElastoSlip(True), None, np.array([2e5, 0.0])) is None

@@ -240,6 +240,8 @@ def regressed(
 
 def _sought(law: JointCause, m: Motion, begun: np.ndarray | None) -> np.ndarray | None:
     """Parameters of least chi-square with all harmonics, which has many minima, some of them narrow."""
+    if begun is not None and not np.all(begun):  # on fewer lines it does nothing
+        return None
     harmonics, sign = None, 1.0 if begun is None else np.sign(begun)
 
     def cost(u: np.ndarray, m: Motion) -> float:
