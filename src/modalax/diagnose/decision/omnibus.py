@@ -70,7 +70,7 @@ def omnibus(residual: np.ndarray, live: np.ndarray, freedom: float, tolerated: f
             total = float(square[n > 0].sum()) - tolerated
             # the cube root brings a chi-square to a normal even for few degrees of freedom
             z = (np.cbrt(max(total, 0.0) / dof) - (1 - 2 / (9 * dof))) / np.sqrt(2 / (9 * dof) * spread)
-            tests.append((float(z), f"{name}, stretches of {stretch} lines"))
+            tests.append((float(z), f"{name}, {'single lines' if stretch == 1 else f'stretches of {stretch} lines'}"))
             if tolerated == 0 and stretch > 1:  # one sample far off is an outlier, no effect that a model lacks
                 top = float(square[n > 0].max())
                 p = -np.expm1(dof / 2 * np.log1p(-min(np.exp(-top / 2), 1 - 1e-16)))

@@ -112,3 +112,5 @@ def test_a_soft_element_of_a_plate_is_named():
     corners = {named()[k] for k in AT[6]}
     assert cause["name"] == "joint_stiffness" and set(cause["where"]) <= corners
     assert abs(told["value"] - (factors[6] - 1)) < 4 * told["std"] < 0.2
+    named_whole = next(reason for reason in found.reasons if "the element with the corners" in reason)
+    assert all(corner in named_whole for corner in sorted(corners) if corner.endswith("w"))

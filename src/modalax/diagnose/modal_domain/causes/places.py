@@ -12,6 +12,7 @@ from modalax.diagnose.modal_domain.causes.connections import flexible_ends
 from modalax.diagnose.modal_domain.causes.given_elements import softened_elements, springs_within, told_parts
 from modalax.diagnose.modal_domain.causes.groups import group_factors, other_than
 from modalax.diagnose.modal_domain.causes.supports import sensor_masses, supports_together
+from modalax.diagnose.modal_domain.causes.within_elements import PlateElement
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.elements import Part
 from modalax.diagnose.modal_domain.structure.modes_only import ModesOnly, Simulation
@@ -155,9 +156,14 @@ def _elements(simulation: Simulation, c: Coordinates, nodes: Nodes, parts: list[
     parts = parts if not out else []
     for part in (p for p in parts if len(p.nodes) > 1 and len(p.dofs) > 2):
         for p in (part, *planes_of(part, nodes)):
-            where = tuple(simulation.dofs[k] for k in ends_of(p, nodes))
+            two = ends_of(p, nodes)
+            where = tuple(simulation.dofs[k] for k in two)
             pattern = c.shapes[p.dofs].T @ p.matrix @ c.shapes[p.dofs]
-            if where:
+            if where and len(p.nodes) > 2:
+                alike = p.dofs[nodes.axis[p.dofs] == nodes.axis[two[0]]]
+                corners = tuple(simulation.dofs[k] for k in alike)
+                out.append(PlateElement("joint_stiffness", where, JOINT, pattern=pattern, corners=corners))
+            elif where:
                 out.append(
                     Change("joint_stiffness", where, JOINT, pattern=pattern, piece=p is not part and not is_spring(p))
                 )

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from modalax.diagnose.modal_domain.causes.change import UNITS, Followed
+from modalax.diagnose.modal_domain.causes.change import UNITS, Change, Followed
 
 
 def of_rows(sizes: np.ndarray) -> np.ndarray:
@@ -20,6 +20,18 @@ def of_rows(sizes: np.ndarray) -> np.ndarray:
     for (a, b), size in zip(rows, sizes, strict=True):
         Z[a, b] = Z[b, a] = size if a == b else size / np.sqrt(2)
     return Z
+
+
+@dataclass(frozen=True)
+class PlateElement(Change):
+    """The whole of an element of several nodes, told at two opposite corners; ``corners`` are all of them."""
+
+    corners: tuple[str, ...] = ()
+
+    def said(self) -> str:
+        """Which element it is, and what changes with it."""
+        which = f"it is the element with the corners {', '.join(self.corners[:-1])} and {self.corners[-1]}, as a whole"
+        return "; ".join(filter(None, (which, super().said())))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 
 from modalax.diagnose.modal_domain.causes.change import Change, own_sizes
 from modalax.diagnose.modal_domain.causes.places import JOINT
-from modalax.diagnose.modal_domain.causes.within_elements import OneMember, UnevenElement, of_rows
+from modalax.diagnose.modal_domain.causes.within_elements import OneMember, PlateElement, UnevenElement, of_rows
 from modalax.diagnose.modal_domain.fitting.attempts import attempt
 from modalax.diagnose.modal_domain.fitting.fit import Fit
 from modalax.diagnose.modal_domain.fitting.inaccuracy import WITHIN
@@ -92,6 +92,6 @@ def _springs(c: Coordinates, P: np.ndarray, sizes: np.ndarray, told: Change) -> 
 
 def is_of(cause: Change, P: np.ndarray) -> bool:
     """Whether a cause is a change of an element, or of a piece of it, by the whole."""
-    if type(cause) is not Change or cause.kind != "K" or cause.absent:
+    if type(cause) not in (Change, PlateElement) or cause.kind != "K" or cause.absent:
         return False
     return bool(np.abs(cause.matrix / JOINT - P).max() < NEGLIGIBLE * np.abs(P).max())
