@@ -86,10 +86,28 @@ def test_what_is_left_of_modes_is_no_more_than_lines_leave_beyond_them(fitted, r
     monkeypatch.setattr(polish, "on_lines", lambda setting, f, lines, late: f)
     (_, (taken,)) = leading_on_lines(task.setting, [Explanation(wrong, 0.0, 1.0, misfit=11.0)], modes, NEVER)
     left = chi2_of(task.setting, taken.fit, lines_of(modes.channels, task.setting))
-    beyond = left - modes.misfit * modes.channels.samples
+    unknowns = modes.modes.linear[..., 0].size + 2 * len(modes.modes.poles)
+    beyond = left - modes.modes.chi2 * modes.channels.samples / (modes.channels.samples - unknowns)
     assert taken.misfit == pytest.approx(np.clip(beyond / f.state.difference.size, 0.0, 11.0))
-    assert (taken.misfit < 0.5) == right
+    assert (taken.misfit < 1.5) == right
     assert told_wrongly(11.0, taken.misfit) == right and not told_wrongly(0.7, taken.misfit)
+
+
+def test_noise_that_is_overstated_hides_nothing_that_lines_leave(fitted, monkeypatch):
+    """At a quarter of the noise stated all of it lies below one a sample; modes leave as little."""
+    modes, task, f = fitted
+    c = modes.channels
+    stated = replace(
+        modes,
+        channels=replace(c, weight=c.weight / 4),
+        modes=replace(modes.modes, chi2=modes.modes.chi2 / 4),
+        misfit=1.0,
+    )
+    monkeypatch.setattr(polish, "on_lines", lambda setting, f, lines, late: f)
+    told, left = [Explanation(replace(f, u=0.98 * f.u), 0.0, 1.0, misfit=np.inf)], []
+    for measured in (modes, stated):
+        left.append(leading_on_lines(task.setting, told, measured, NEVER)[1][0].misfit)
+    assert left[1] > 2.0 and left[1] == pytest.approx(left[0] / 4)
 
 
 def test_causes_compared_together_are_compared_as_each_by_itself(fitted):

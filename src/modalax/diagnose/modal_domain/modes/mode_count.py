@@ -92,8 +92,13 @@ def cost_of_mode(channels: Channels) -> float:
 
 def misfit(found: Projected, channels: Channels) -> float:
     """Chi-square per sample that the modes leave; at least 1."""
+    return max(1.0, left_by(found, channels))
+
+
+def left_by(found: Projected, channels: Channels) -> float:
+    """Chi-square per sample that the modes leave, less than 1 where the noise is overstated."""
     unknowns = found.linear.shape[0] * found.linear.shape[1] + 2 * len(found.poles)
-    return max(1.0, found.chi2 / max(channels.samples - unknowns, 1))
+    return found.chi2 / max(channels.samples - unknowns, 1)
 
 
 def mode_gains(found: Projected) -> np.ndarray:

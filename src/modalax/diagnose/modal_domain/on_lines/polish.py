@@ -29,6 +29,7 @@ from modalax.diagnose.modal_domain.fitting.state import (
     state_at,
 )
 from modalax.diagnose.modal_domain.modes.measured import Measured
+from modalax.diagnose.modal_domain.modes.mode_count import left_by
 from modalax.diagnose.modal_domain.on_lines.lines import Lines, lines_of
 from modalax.diagnose.modal_domain.structure.coordinates import Coordinates
 from modalax.diagnose.modal_domain.structure.factored import Factored, factored
@@ -129,7 +130,7 @@ def leading_on_lines(
     if apart:
         setting = told_apart(setting, out[0].fit)
         out = [replace(e, fit=beside(setting, e.fit)) for e in out]
-    lines = lines_of(measured.channels, setting, measured.misfit)
+    lines, own = lines_of(measured.channels, setting, measured.misfit), left_by(measured.modes, measured.channels)
     for k, e in enumerate(out[: 1 if setting.inaccuracy.between_modes else FEW]):
         if k and (e.probability < LIKELY or late()):
             break
@@ -138,7 +139,7 @@ def leading_on_lines(
         start = again if nearer and again is not None else e.fit
         taken = on_lines(setting, start, lines, late if k else NEVER)
         every = lines.whole or lines
-        beyond = max(chi2_of(setting, taken, every) - every.left * every.samples, 0.0)
+        beyond = max(chi2_of(setting, taken, every) - own * every.samples, 0.0)
         out[k] = replace(e, fit=taken, misfit=min(e.misfit, beyond / max(taken.state.difference.size, 1)))
     return setting, out
 
